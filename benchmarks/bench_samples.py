@@ -31,7 +31,7 @@ from metapp.learning.task import Task
 from metapp.runs.choice import choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.fitter import Fitter, rng_of
-from metapp.runs.inputs.run_inputs import read_test_tasks, training_data_folder
+from metapp.runs.inputs.run_inputs import FILES_LABEL, read_test_tasks, training_data_folder
 
 MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)  # samples that a fit sees
 SAMPLES_FIGURE_FILE = Path("runs/bench/samples.png")
@@ -78,7 +78,7 @@ def errors_of_method(
     if not method.recipe:
         return _errors_of_baselines(method, tasks, count, training)
     choice = choose(fit_options("brdf", method.name, recipe=method.recipe, data=data, device="cpu", quiet=True))
-    return {fit.name: fit.errors["error"] for fit in Fitter.of(choice).fit_one_by_one(tasks)}
+    return {fit.name: fit.errors["error"] for fit in Fitter.of(choice, FILES_LABEL).fit_one_by_one(tasks)}
 
 
 @torch.no_grad()

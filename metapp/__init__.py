@@ -13,9 +13,10 @@ The packages in order of reading: `learning` has fits and update rules, `paradig
 files, `runs` what one command does, `evaluation` tables and figures, `cli` the commands. `checkpoints` holds the
 checkpoints that ship, `extensions` packages that the core never imports.
 
-Of the modules, `registry` has tables of all that has a name, `contracts` what the entries of these tables must be, and
-`contents` the core's entries. `learned_rules` finds rules by name, `names` lists names for help and errors, `options`
-makes options of dataclasses, `mitsuba` registers plugins for Mitsuba 3, and `__main__` runs the command `metapp`.
+Of the modules, `application` has what metapp knows of an application before it imports it, `registry` all applications
+and further tables by name, `entries` the references that they are made of, and `contents` the core's entries.
+`learned_rules` finds rules by name, `options` makes options of dataclasses, `mitsuba` registers plugins for Mitsuba 3,
+and `__main__` runs the command `metapp`.
 """
 
 from __future__ import annotations

@@ -414,10 +414,16 @@ class Application:
         """Yield the tables of the application."""
         return (value for value in vars(self).values() if isinstance(value, Entries))
 
+    def named_recipes(self) -> Iterator[tuple[str, str, RecipeEntry]]:
+        """Yield what fits observe, "" if all observe the same, the name and the entry of each recipe."""
+        for key, entry in self.recipes.items():
+            observation, name = key if isinstance(key, tuple) else ("", key)
+            yield observation, name, entry
+
     @property
     def observations(self) -> tuple[str, ...]:
         """The values of --observe, what fits can observe, the default first; () if all fits observe the same."""
-        return tuple(dict.fromkeys(key[0] for key in self.recipes if isinstance(key, tuple)))
+        return tuple(dict.fromkeys(observation for observation, _, _ in self.named_recipes() if observation))
 
     @property
     def default_observation(self) -> str:
@@ -427,14 +433,12 @@ class Application:
     @property
     def recipe_names(self) -> list[str]:
         """The names of all recipes, each once."""
-        return list(dict.fromkeys(key[1] if isinstance(key, tuple) else key for key in self.recipes))
+        return list(dict.fromkeys(name for _, name, _ in self.named_recipes()))
 
     def recipes_observing(self, observation: str = "") -> dict[str, RecipeEntry]:
         """Return the recipes whose fits observe something, by name; "" stands for the default observation."""
-        observation = observation or self.default_observation
-        if not observation:
-            return dict(self.recipes)
-        return {key[1]: entry for key, entry in self.recipes.items() if key[0] == observation}
+        wanted = observation or self.default_observation
+        return {name: entry for observed, name, entry in self.named_recipes() if observed == wanted}
 
     @property
     def input_formats(self) -> dict[str, Format]:

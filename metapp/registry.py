@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from metapp.application import Application, Format
-from metapp.entries import METAPP_PACKAGE, Entries, Lazy, describe_error, did_you_mean, registering
+from metapp.entries import METAPP_PACKAGE, Entries, Lazy, describe_error, registering
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -292,22 +292,6 @@ class Registry:
         """Add an application under its name."""
         self.applications[application.name] = application
 
-    def application(self, name: str) -> Application:
-        """Return the application of a name.
-
-        Raises:
-            ValueError: there is no application of that name; the message lists all names.
-
-        >>> registry().application("illumination").title
-        'Illumination'
-        """
-        if name not in self.applications:
-            names = sorted(self.applications)
-            raise ValueError(
-                f"application '{name}': not known, expected one of {', '.join(names)}.{did_you_mean(name, names)}"
-            )
-        return self.applications[name]
-
     @property
     def rule_words(self) -> list[str]:
         """The words that --rule accepts, joined by +: rules, compositions and parts."""
@@ -419,17 +403,15 @@ def _require_different_inputs(application: Application) -> None:
         ValueError: there are two; the message names the packages that registered them.
     """
     owners: dict[str, str] = {}
-    for observation in application.observations or ("",):
-        for name, entry in application.recipes_observing(observation).items():
-            owner = application.recipes.owners[(observation, name) if observation else name]
-            if entry.suits:
-                facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
-                words = (f"recipes of {application.name}", observation, f"for inputs of {facts}")
-                subject = " ".join(filter(None, words))
-                if subject in owners:
-                    other = owners[subject]
-                    raise ValueError(f"{subject}: registered by {owner}, but {other} has registered it already")
-                owners[subject] = owner
+    for (observation, _, entry), key in zip(application.named_recipes(), application.recipes, strict=True):
+        owner = application.recipes.owners[key]
+        if entry.suits:
+            facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
+            words = (f"recipes of {application.name}", observation, f"for inputs of {facts}")
+            subject = " ".join(filter(None, words))
+            if subject in owners:
+                raise ValueError(f"{subject}: registered by {owner}, but {owners[subject]} has registered it already")
+            owners[subject] = owner
 
 
 @functools.cache  # each access to a distribution's name parses its metadata

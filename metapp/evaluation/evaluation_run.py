@@ -20,6 +20,7 @@ from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
+from metapp.runs.checkpoint_selection import Checkpoint, load_phi
 from metapp.runs.choice import Choice, find_and_choose
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fitter import Fitter
@@ -80,11 +81,11 @@ class EvaluationRun:
         self._tables: dict[str, Table] = {}
         options = choice.options
         self.choices: dict[str, Choice] = {}
-        self.fitters: dict[str, Fitter] = {}
+        checkpoints: dict[str, Checkpoint] = {}
         for name in PARADIGMS:
             self.choices[name] = find_and_choose(replace(options, paradigm=name, steps=None))
             try:
-                self.fitters[name] = Fitter.of(self.choices[name])
+                checkpoints[name] = load_phi(self.choices[name])
             except ValueError as error:
                 if is_measuring:
                     raise
@@ -94,13 +95,16 @@ class EvaluationRun:
         for rule in (rule for rule in rules if rule != options.rule):
             rule_choice = find_and_choose(replace(options, paradigm="meta", rule=rule))
             with suppress(ValueError):  # no checkpoint was trained by this rule
-                self.fitters[f"meta:{rule}"] = Fitter.of(rule_choice)
+                checkpoints[f"meta:{rule}"] = load_phi(rule_choice)
                 self.choices[f"meta:{rule}"] = rule_choice
         make_folder(options.out)
         self.tasks: list[Task] = []
         self.label = "none"
         if is_measuring or options.data or has_embedded_tests(choice.application):
             self.tasks, self.label = read_test_tasks(choice.application, choice.app, options.data, options.quiet)
+        self.fitters = {
+            name: Fitter(self.choices[name], checkpoint, self.label) for name, checkpoint in checkpoints.items()
+        }
 
     @property
     def observes_default(self) -> bool:
@@ -165,9 +169,9 @@ class EvaluationRun:
         if fitter is None:
             return None
         if not settings:
-            return fitter.store(self.label)
+            return fitter.store
         choice, digest = fitter.choice, fitter.checkpoint.digest
-        entries = fitter.settings(self.label).document() | dict(settings)
+        entries = fitter.settings.document() | dict(settings)
         path = choice.folder(self.label, choice.paradigm.name, digest)
         return FitStore(path, Settings.of(entries), timed=True)
 
@@ -220,7 +224,7 @@ class EvaluationRun:
         """
         if not all(name in self.fitters for name in rows):
             return None
-        digests = [content_digest(self.fitters[name].settings(self.label).document()) for name in rows]
+        digests = [content_digest(self.fitters[name].settings.document()) for name in rows]
         further = settings.further | ({"fits": digests} if rows else {})
         return FitStore(self.choice.folder(self.label, kind), structs.replace(settings, further=further), figures)
 

@@ -71,6 +71,7 @@ def make_row(
         "app": app.name,
         "paradigm": name,
         **app.observation,
+        "scale": app.error_measure.scale,
         **summarise_errors(errors_by_task(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),

@@ -1,8 +1,8 @@
 """Runs: what one command or one call of the Python API does, from options to fits. Nothing here prints or exits.
 
-In order of reading: `fit_options` has all that a user may choose, `inputs` finds and reads what is fitted,
-`recipe_choice` with `default_recipe` chooses a protocol and a recipe, `run` looks up all that options name,
-`checkpoint_selection` and `checkpoint_training` provide phi, `fitting` fits tasks, `fit` is one result, `outputs`
-writes files and reads records, `execution` does a whole run, and `api` has the functions for Python programs.
+In order of reading: `fit_options` has all that a user may choose, `inputs` finds and reads what is fitted, `choice`
+chooses what options leave open, `checkpoint_selection` and `checkpoint_training` provide phi, `fitter` fits tasks,
+`fit` is one result, `outputs` writes files and reads records, `execution` does a whole command, and `api` has the
+functions for Python programs.
 `environment` (device, threads, versions), `memory_errors` and `reporter` (messages and progress) serve all of them.
 """

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from metapp.runs.fit import Fit
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.fitter import BadInput, Fitter, fit_inputs
 from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
+from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
 from metapp.runs.reporter import say
 from metapp.storage.parameters import read_checked_params
@@ -150,26 +149,19 @@ def _fit_named_inputs(options: FitOptions) -> list[Fit]:
     """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
     choice = find_and_choose(options)
     with torch_defaults(single=choice.app.small_tensors):
+        inputs, label = find_inputs(choice)
         if options.objects:
             # what objects hold is known once they are read, and the size to which they are read once the recipe is
-            first = replace(choice, options=replace(choice.options, observe=options.observe))
-            inputs, label = find_inputs(first)
+            first_size = choice.app.read_size
             tasks = [run_input.read_task() for run_input in inputs]
             choice = choose(options, [source_of_tensors(options.application, task.name, task.data) for task in tasks])
             for line in choice.reasons:
                 say(line)
-            if choice.app.read_size != first.app.read_size:
+            if choice.app.read_size != first_size:
                 inputs, label = find_inputs(choice)
-        else:
-            inputs, label = find_inputs(choice)
-        fitter = Fitter.of(choice)
-        fits, places, settings = [], [], fitter.settings(label)
-        for run_input, fit in fit_inputs(fitter, inputs):
+        fits, places = [], []
+        for run_input, fit in fit_inputs(Fitter.of(choice, label), inputs):
             if isinstance(fit, Fit):
-                fit.record.settings = settings
-                if not options.objects:
-                    fit.record.source, fit.record.content = run_input.place, task_digest(fit.task)
-                    fit.record.origin = choice.origin(run_input.given_paths)
                 fits.append(fit)
                 places.append(run_input.place)
             elif run_input.is_named or not isinstance(fit, BadInput):

@@ -26,7 +26,7 @@ from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import say
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
-from metapp.storage.files import content_digest
+from metapp.storage.files import file_digest
 from metapp.storage.folders import PathKind, path_kind
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkpoint_path
 
@@ -73,7 +73,7 @@ def load_phi(choice: Choice) -> Checkpoint:
     if not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         source = f"the checkpoint that ships{note}"
-    checkpoint = Checkpoint(phi, source, content_digest(path))
+    checkpoint = Checkpoint(phi, source, file_digest(path))
     for tuning in tunings:
         checkpoint = _add_tuned_adam(choice, checkpoint, tuning)
     return checkpoint
@@ -127,7 +127,7 @@ def _require_kind(
     Args:
         path: the file of the checkpoint.
         choice: the choice of fits that need it.
-        training: the training of the checkpoint that the run needs.
+        training: the training of the checkpoint that fits need.
         phi: the parameters in the file.
         header: the description in the file.
     """
@@ -187,11 +187,11 @@ def _add_tuned_adam(choice: Choice, checkpoint: Checkpoint, tuning: CheckpointTr
 
 def merge_tuned_adam(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
     """Return General's checkpoint with the Adam that was tuned for it, read from the file `path`."""
-    return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", content_digest(path))
+    return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", file_digest(path))
 
 
 def _checkpoint_path(choice: Choice, training: CheckpointTraining) -> Path:
-    """Return the file of the checkpoint that a run needs: the one that --checkpoint names, else the one that ships.
+    """Return the file of the checkpoint that fits need: the one that --checkpoint names, else the one that ships.
 
     Raises:
         ValueError: the folder that --checkpoint names has no such file, or no such checkpoint ships.

@@ -57,7 +57,7 @@ def train_and_load(choice: Choice) -> Checkpoint | None:
 
 
 def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
-    """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
+    """Train the checkpoint that the paradigm needs, together with the other ranks if there are any.
 
     Returns:
         The file of the checkpoint, and the General that training began at, None if it began at none. A checkpoint that
@@ -126,7 +126,7 @@ def _read_interrupted_state(path: Path, settings: Document, choice: Choice) -> T
     Args:
         path: the file of the finished checkpoint.
         settings: all that the training depends on.
-        run: the run that trains.
+        choice: the choice of what is trained.
     """
     if ranks.rank_number() > 0:
         ranks.wait_for_ranks()
@@ -162,7 +162,7 @@ def _training_path(path: Path) -> Path:
 
 
 def _read_training_tasks(choice: Choice, training: CheckpointTraining) -> Tasks:
-    """Read the training tasks of a run's data set, and say how many there are."""
+    """Read the training tasks of the data set, and say how many there are."""
     app, folder = choice.app, training_data_folder(choice.application, choice.options.data, choice.options.quiet)
     tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), choice.device)
     data = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
@@ -196,7 +196,7 @@ def _provide_general(choice: Choice, training: CheckpointTraining) -> Checkpoint
     """Return the General that a training begins at, trained first if there is none.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now for as many steps as
-    the run trains. A finished training of equal settings is not repeated.
+    this training takes. A finished training of equal settings is not repeated.
 
     Raises:
         ValueError: the file of a General of other settings is in the way; it is not replaced.
@@ -236,7 +236,7 @@ def _training_settings(
     """Return all that the result of a training depends on, except for rounding: the header of its checkpoint.
 
     Args:
-        run: the run that trains.
+        choice: the choice of what is trained.
         training: the training of the checkpoint.
         general: the General that training begins at.
         first: the checkpoint that training goes on from.

@@ -45,7 +45,8 @@ class RecipeChoice(NamedTuple):
 
     Attributes:
         name: the name of the recipe.
-        observes: what fits by the recipe see, a value of --observe; "" if all fits of the application see the same.
+        observes: what fits by the recipe see, a value of --observe; "" if all fits of the application see the same, or
+            if the inputs are objects in memory that have not been read.
         reasons: lines that a run prints first: what fits see and which recipe it takes because of its inputs, and why.
         missing_file_line: the one of these lines that says which file is missing for the recipe that suits the inputs;
             "" if no file is.
@@ -62,8 +63,8 @@ class Choice:
     """The recipe, rule, paradigm and device that options and inputs choose.
 
     Attributes:
-        options: the options as given, with the names of the chosen recipe and rule, and with what fits see; `steps` is
-            None if it is the recipe's number.
+        options: the options with all that is chosen filled in: the names of recipe and rule, and what fits see. `steps`
+            is None if it is the recipe's number, by which folders are named.
         paradigm: the paradigm, for the application with the network of the recipe and of the rule.
         presenter: the presenter of the fits, with options of output such as the size of files.
         device: the device of all tensors.
@@ -199,7 +200,8 @@ def choose_as_recorded(
     recorded = app_options_of_record(application, settings.options, inputs=bool(inputs))
     paradigm = settings.paradigm or FitOptions.paradigm
     rule = settings.rule if paradigm_of(paradigm).has_learned_rule else ""
-    values = {"rule": rule, "recipe": settings.recipe, "observe": settings.observe, "quiet": True, **more}
+    values = {"rule": rule, "recipe": settings.recipe, "observe": settings.observe, "quiet": True}
+    values |= {"steps": settings.steps, "seed": settings.seed, **more}
     try:
         return find_and_choose(fit_options(application, paradigm, inputs, **(recorded | dict(options or {})), **values))
     except BadOption as error:
@@ -309,11 +311,12 @@ def _choose_observation(options: FitOptions, sources: Sequence[Source]) -> tuple
     photo, too.
 
     Returns:
-        The observation, and the line that gives the reason, "" if there are no sources.
+        The observation, "" for objects in memory that have not been read; and the line that gives the reason, "" if
+        there are no sources.
     """
     observations = options.application.observations
-    if not sources:
-        return observations[0], ""
+    if not sources:  # what objects in memory hold is known once they are read
+        return "" if options.objects else observations[0], ""
     most_seen = [
         next((name for name in observations if source.facts.get(name, True)), observations[-1]) for source in sources
     ]

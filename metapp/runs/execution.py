@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from msgspec import structs
 
 from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import Checkpoint, load_phi
@@ -21,7 +20,7 @@ from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fitter import FIT_ERRORS, FITTED_TIME_SHARE, BadInput, Fitter, fit_inputs
-from metapp.runs.inputs.run_inputs import Input, find_inputs, task_digest
+from metapp.runs.inputs.run_inputs import Input, find_inputs
 from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, tiles_of_fit, write_run_sheet
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
@@ -118,14 +117,14 @@ def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = loa
         inputs, label = find_inputs(choice)
         checkpoint = provide(choice)
         assert checkpoint is not None
-        fitter = Fitter(choice, checkpoint)
+        fitter = Fitter(choice, checkpoint, label)
         if not options.quiet:
             count = f"{len(inputs)} input{'s' * (len(inputs) != 1)}"
             size = choice.presenter.size
             files = "; files of {:,} rows, {:,} columns".format(*size) if size else ""
             steps = f"{choice.paradigm.steps} steps, from {checkpoint.source}"
             say(f"{choice.app.full_name} {choice.paradigm.name}: {count}; {steps}{files}")
-        report = RunReport(fitter, fitter.store(label))
+        report = RunReport(fitter, fitter.store)
         begin = time.perf_counter()
         _keep_fits(report, inputs)
         if new_count := len(report.records) - report.earlier_count:
@@ -200,8 +199,7 @@ def _add_failure(report: RunReport, run_input: Input, error: Exception, bar: Bar
 def _keep_fit(report: RunReport, run_input: Input, fit: Fit, bar: Bar) -> None:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
-    The record gets entries about the input: its place as `source`, a digest of the task's values as `content`, and as
-    `origin` the paths by which a later command finds it again. An earlier fit, which the store holds, stays as it is.
+    An earlier fit, which the store holds, stays as it is.
 
     Args:
         report: the report, to which the fit is added.
@@ -231,15 +229,14 @@ def _keep_fit(report: RunReport, run_input: Input, fit: Fit, bar: Bar) -> None:
             write_pictures(choice.presenter.pictures(fit.parameters, task) | renders, fit_folder)
             remarks.extend(f"{fit.name}: {line}" for line in lines)
 
-    origin = choice.origin(run_input.given_paths)
-    record = structs.replace(fit.record, source=run_input.place, content=task_digest(task), origin=origin)
     replaces_earlier = store.holds(task.name, run_input.place)
-    record = store.write(record, fit.parameters, draw)
-    report.tiles += [_draw_tiles(fit, record)] if is_shown else []
+    record = store.write(fit.record, fit.parameters, draw)
+    tiles = [_draw_tiles(fit, record)] if is_shown else []
+    _write_exports(report, fit, record, bar)
+    report.tiles += tiles
     report.replaced_count += replaces_earlier
     report.remarks += remarks
     report.records.append(record)
-    _write_exports(report, fit, record, bar)
     errors = {"error": record.error, "photo error": record.photo_error}
     texts = [f"{name} {value:.3f}" for name, value in errors.items() if value is not None]
     bar.advance(", ".join([record.name, *texts[:1], f"{fit.seconds:.4f} s"]))

@@ -1,6 +1,6 @@
 """A fit of one task, as Python programs get it: its parameters and figures, maps, pictures and files.
 
-A :class:`Fit` is plain data and what can be computed of them. How tasks are fitted is decided in `metapp.runs.fitting`.
+A :class:`Fit` is plain data and what can be computed of them. How tasks are fitted is decided in `metapp.runs.fitter`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The options of a fit in one dataclass: options of the command line, keywords of `metapp.fit`, entries of records.
 
 Options are checked here, before anything large is imported. What their names stand for is looked up in
-`metapp.runs.run`.
+`metapp.runs.choice`.
 """
 
 from __future__ import annotations

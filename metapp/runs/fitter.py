@@ -7,6 +7,7 @@ kept of a fit is decided in `metapp.runs.execution`.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import math
 import time
@@ -52,32 +53,34 @@ class Fitter:
     Attributes:
         choice: the recipe, the rule, the paradigm and the device.
         checkpoint: initialisation and rule of the fits.
+        label: the label of the data that is fitted, which records state.
 
     >>> from metapp.runs.choice import choose
     >>> from metapp.runs.fit_options import fit_options
-    >>> fitter = Fitter.of(choose(fit_options("brdf", "meta", device="cpu")))
-    >>> fitter.settings("files").steps
+    >>> Fitter.of(choose(fit_options("brdf", "meta", device="cpu")), "files").settings.steps
     10
     """
 
     choice: Choice
     checkpoint: Checkpoint
+    label: str
 
     @classmethod
-    def of(cls, choice: Choice) -> Fitter:
+    def of(cls, choice: Choice, label: str) -> Fitter:
         """Return the fitter of a choice, with the checkpoint that options name or that ships.
+
+        Args:
+            choice: the choice.
+            label: the label of the data that is fitted.
 
         Raises:
             ValueError: there is no checkpoint, or it is for other fits.
         """
-        return cls(choice, load_phi(choice))
+        return cls(choice, load_phi(choice), label)
 
-    def settings(self, label: str) -> Settings:
-        """Return the settings that records of fits state: all that errors and seconds depend on.
-
-        Args:
-            label: the label of the data that is fitted.
-        """
+    @functools.cached_property
+    def settings(self) -> Settings:
+        """The settings that records of fits state: all that errors and seconds depend on."""
         choice, paradigm, app = self.choice, self.choice.paradigm, self.choice.app
         adam, guard = paradigm.adam(self.checkpoint.phi), paradigm.guard
         return Settings(
@@ -90,7 +93,7 @@ class Fitter:
             adam=asdict(adam) if adam else None,
             guard=asdict(guard) if guard else None,
             checkpoint=self.checkpoint.digest,
-            data=label,
+            data=self.label,
             recipe=choice.options.recipe,
             options=choice.options.app_options.recorded_values(),
             seed=choice.options.seed,
@@ -99,9 +102,11 @@ class Fitter:
             further=app.recorded_conditions(choice.device if paradigm.steps else None),
         )
 
-    def store(self, label: str) -> FitStore:
-        """Return the folder of fits to data of a label, which compares records with the settings of this fitter."""
-        return FitStore(self.choice.folder(label, checkpoint=self.checkpoint.digest), self.settings(label), timed=True)
+    @property
+    def store(self) -> FitStore:
+        """The folder of the fits, which compares records with the settings of this fitter."""
+        path = self.choice.folder(self.label, checkpoint=self.checkpoint.digest)
+        return FitStore(path, self.settings, timed=True)
 
     def fit_one_by_one(self, tasks: Sequence[Task]) -> Iterator[Fit]:
         """Fit tasks one after the other, so that each has its own time; warnings are recorded, not said.
@@ -188,6 +193,7 @@ class Fitter:
                 guarded=(last.guarded is not None and bool(last.guarded[i])) if paradigm.guard else None,
                 warning="; ".join(clauses),
                 batch=len(tasks),
+                settings=self.settings,
             )
             if record.error is None and (comparison := choice.presenter.photo_comparison(parameters, task)):
                 record.photo_error = photo_error_percent(comparison)
@@ -222,6 +228,7 @@ def fit_inputs(
                 is_warm = True
             for run_input, fit in _fit_group(fitter, group):
                 if isinstance(fit, Fit):
+                    _name_input(fit, run_input)
                     _say_warnings(fit)
                 yield run_input, fit
 
@@ -285,6 +292,16 @@ def _fit_group(fitter: Fitter, pairs: Sequence[tuple[Input, Task]]) -> Iterator[
     else:
         for pair in pairs:
             yield from _fit_group(fitter, [pair])
+
+
+def _name_input(fit: Fit, run_input: Input) -> None:
+    """Add to the record of a fit the place of its input, a digest of the task's values, and the paths as given.
+
+    Objects in memory have no place by which a later command could find them.
+    """
+    if not fit.choice.options.objects:
+        fit.record.source, fit.record.content = run_input.place, task_digest(fit.task)
+        fit.record.origin = fit.choice.origin(run_input.given_paths)
 
 
 def _say_warnings(fit: Fit) -> None:

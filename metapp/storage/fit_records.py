@@ -214,10 +214,10 @@ def _in_present_form(document: Any) -> Any:
         figures = {
             name: value
             for name, value in others.items()
-            if name in EARLIER_FIGURES or not isinstance(value, int | float | None)
+            if name in EARLIER_FIGURES or isinstance(value, bool) or not isinstance(value, int | float | None)
         }
-        document["figures"] = figures
-        document["errors"] = {name: value for name, value in others.items() if name not in figures}
+        errors = {name: value for name, value in others.items() if name not in figures}
+        document = {"figures": figures, "errors": errors, **document}
     return document
 
 

@@ -165,9 +165,7 @@ def read_fit_record(folder: Path, *, figures: Collection[str] = (), timed: bool 
         return None
     except (ValueError, OSError) as error:
         reason = str(error).removeprefix("no record: ").replace(str(file), "").strip(": ")
-        raise ValueError(
-            f"{file}: no record, expected one of a task ({reason}); passed over, as if not there."
-        ) from None
+        raise ValueError(f"{file}: no record, expected one of a task ({reason}).") from None
 
 
 def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: bool = False) -> list[FitRecord]:
@@ -189,7 +187,7 @@ def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: 
         try:
             record = None if is_partial else read_fit_record(folder, figures=figures, timed=timed)
         except ValueError as error:
-            problems.append(str(error))
+            problems.append(f"{str(error).removesuffix('.')}; passed over, as if not there.")
         else:
             records += [record] if record else []
     if problems:

@@ -1,6 +1,6 @@
 """The places of the checkpoints that ship with the package.
 
-Applications and runs ask for them by name; which recipe a fit takes is decided in `metapp.runs.default_recipe`.
+Applications and runs ask for them by name; which recipe a fit takes is decided in `metapp.runs.choice`.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import albedo, conserve_energy, quadrature
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
-from metapp.apps.brdf.presenter import MIRROR_DEGREES, BrdfPresenter
+from metapp.apps.brdf.presenter import MIRROR_DEGREES
 from metapp.learning.task import Task
+from tests.recipe_apps import presenter_of
 
 
 def grey(value: Tensor) -> Tensor:
@@ -116,7 +117,7 @@ def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[
     ("bias", "words"), [(0.5, "reflects 2.04 of the light"), (50.0, "reflects more than 100 times the light")]
 )
 def test_fits_that_reflect_too_much_carry_a_warning(bias: float, words: str) -> None:
-    presenter = BrdfPresenter(Brdf(NBRDF_NETWORK))
+    presenter = presenter_of(Brdf(NBRDF_NETWORK))
     shapes = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
     theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
     task = Task("hot", {"angles": torch.rand(8, 3), "reflectance": torch.ones(8, 3)})
@@ -134,7 +135,7 @@ def test_unmeasured_highlights_are_reported(seed: int) -> None:
     near = far.clone()
     one, share = int(torch.randint(count, (), generator=rng)), float(torch.rand((), generator=rng))
     near[one, 0] = math.radians(MIRROR_DEGREES) * share
-    presenter = BrdfPresenter(Brdf(NBRDF_NETWORK))
+    presenter = presenter_of(Brdf(NBRDF_NETWORK))
     theta = {key: value[0] for key, value in NBRDF_NETWORK.init(rng, 1).items()}
 
     def note(angles: Tensor) -> str:

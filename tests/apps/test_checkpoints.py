@@ -12,10 +12,10 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import checkpoint_name
-from metapp.runs.recipe_choice import has_shipped_recipe
+from metapp.runs.choice import has_shipped_recipe
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
-from tests.recipe_apps import app_by_recipe, app_names, observations_of, recipes_of
+from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, recipes_of
 
 PACKAGE = shipped_checkpoint_path("brdf", "general").parent.parent
 FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL_RECIPE_NAME).is_dir()]
@@ -37,7 +37,7 @@ def start_of(name: str, checkpoint: str, recipe: str = QUICK_RECIPE_NAME) -> Met
 
 
 def names_of(paradigm: Paradigm) -> list[str]:
-    return [checkpoint_name(paradigm.app, training) for training in paradigm.trainings]
+    return [checkpoint_name(application(paradigm.app.name), paradigm.app, training) for training in paradigm.trainings]
 
 
 def expected_of(name: str, recipe: str) -> set[str]:

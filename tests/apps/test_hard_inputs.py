@@ -28,7 +28,7 @@ from metapp.runs.checkpoint_selection import checkpoint_name
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
-from tests.recipe_apps import app_by_recipe, recipes_of
+from tests.recipe_apps import app_by_recipe, application, recipes_of
 
 WORSE = 1.2  # than QuickFT's
 
@@ -49,7 +49,7 @@ def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
 
     def shipped(paradigm: Paradigm) -> list[MetaParameters]:
-        names = [checkpoint_name(app, training) for training in paradigm.trainings]
+        names = [checkpoint_name(application(app.name), app, training) for training in paradigm.trainings]
         return [load_checkpoint(shipped_checkpoint_path(app.name, name))[0] for name in names]
 
     (learned,), (general, adam) = shipped(meta), shipped(quickft)

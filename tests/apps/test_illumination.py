@@ -65,7 +65,7 @@ def tasks(app: Illumination) -> Tasks:
 def app_with_fixed_maps(app: Illumination, maps: Tensor) -> Illumination:
     """The application whose fits have these maps [T, 3, H, W], whatever the parameters of their networks."""
 
-    class Fitted(Illumination):
+    class Fitted(type(app)):  # type: ignore[misc]
         def radiance_maps(self, theta: Params) -> Tensor:
             return maps
 

@@ -20,7 +20,6 @@ from metapp.appearance.flash import (
 from metapp.appearance.lattice import even_out_contrast
 from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
 from metapp.apps.svbrdf_stationary.quilted import (
     QuiltedSvbrdf,
     fit_local_lines,
@@ -32,7 +31,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import fetch_pieces
-from tests.recipe_apps import recipes_of
+from tests.recipe_apps import presenter_of, recipes_of
 
 APP = QuiltedSvbrdf(
     Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3),
@@ -190,7 +189,7 @@ def test_maps_without_the_photograph_have_the_size_of_the_quilt(tasks: Tasks) ->
 
 def test_files_and_records_are_of_the_photograph(task: Task, tasks: Tasks) -> None:
     theta = {key: value[0] for key, value in silent_fit(tasks).items()}
-    presenter = SvbrdfStationaryPresenter(APP)
+    presenter = presenter_of(APP)
     assert presenter.pictures(theta, task)["diffuse"].pixels.shape[:2] == (128, 128)
     assert presenter.photo_share(task) == 1
     assert replace(presenter, size=(256, 256)).photo_share(task) == 0.5
@@ -201,7 +200,7 @@ def test_relief_is_said_to_be_a_guess_unless_it_is_flat(tasks: Tasks) -> None:
     flat = silent_fit(tasks)
     tilted = flat | APP.init(Generator().manual_seed(0), len(tasks))
     for theta, is_doubted in ((flat, False), (tilted, True)):
-        (clauses,) = SvbrdfStationaryPresenter(APP).quality_warnings(theta, tasks)
+        (clauses,) = presenter_of(APP).quality_warnings(theta, tasks)
         assert any("degrees on average, is a guess" in clause for clause in clauses) is is_doubted
 
 

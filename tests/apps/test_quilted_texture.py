@@ -16,7 +16,7 @@ from metapp.appearance.lattice import find_lattice, kept_order_share, remove_qua
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import QuiltedAgain, make_piece_source, order_penalty, quilt_places
-from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
+from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.texture import baselines
 from metapp.learning.app import stack_tasks
@@ -24,7 +24,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, fetch_pieces
 from metapp.paradigms.adam import Overfit
-from tests.recipe_apps import recipes_of
+from tests.recipe_apps import presenter_of, recipes_of
 
 ROOT = Path(__file__).parent.parent.parent / "metapp"
 APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
@@ -126,7 +126,7 @@ def test_files_have_the_resolution_of_the_photograph(task: Task, theta: Params) 
 
 @pytest.mark.parametrize("size", [(256, 128), (384, 384), (100, 300)])
 def test_other_sizes_have_structures_of_equal_size(task: Task, theta: Params, size: tuple[int, int]) -> None:
-    presenter = TexturePresenter(APP, size)
+    presenter = presenter_of(APP, {"size": size})
     picture = presenter.pictures({key: value[0] for key, value in theta.items()}, task)["texture"].pixels
     assert tuple(picture.shape) == (*size, 3)
     detail = [
@@ -148,7 +148,7 @@ def test_augmented_exemplars_have_quilts_of_their_own(tasks: Tasks) -> None:
 
 def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is said of the fit, whatever lines it adds; of scattered px and of broken lines one clause each."""
-    presenter = TexturePresenter(APP)
+    presenter = presenter_of(APP)
     comparisons = iter(
         [
             LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3),
@@ -169,7 +169,7 @@ def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monke
 
 def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: Params) -> None:
     """Of blocks at random and of a large piece that comes back; a fit, and a photo that repeats itself, say nothing."""
-    presenter = TexturePresenter(APP)
+    presenter = presenter_of(APP)
     exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
     ordered, unordered = exemplar, torch.rand(3, 64, 64, generator=Generator().manual_seed(0))
     own = torch.stack(torch.meshgrid(*2 * [(torch.arange(64) + 0.5) / 64], indexing="ij"))
@@ -190,8 +190,8 @@ def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: 
     assert say(unordered, twice) == ["repeats 32% of itself (a photo of more of the material helps)"]
     assert say(unordered, own) == []
     assert not any("repeats" in clause for clause in say(ordered, twice))
-    record = presenter.remarks({"places": twice}, task)
-    assert record["repeated"] == pytest.approx(30 * 44 / 64**2)
+    remarks = presenter.remarks({"places": twice}, task)
+    assert remarks["repeated"] == pytest.approx(30 * 44 / 64**2)
 
 
 def test_a_fit_that_is_thrown_away_compares_two_quilts_and_methods_without_quilts_make_none(task: Task) -> None:

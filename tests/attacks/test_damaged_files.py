@@ -1,6 +1,7 @@
 """Damaged or hostile records, checkpoints and shards: one line that names the file, never a traceback."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ import torch
 from safetensors.torch import load_file, save, save_file
 
 from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
-from metapp.storage.fit_store import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_records import FitRecord, Settings
+from metapp.storage.fit_store import RECORD, read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -25,8 +27,8 @@ THETA = {"w": torch.arange(3.0)}
 
 def fit_folder(run: Path, name: str) -> Path:
     """The folder of a fit."""
-    record = {"name": name, "error": 0.5, "seconds": 0.1, "settings": {"steps": 10}}
-    return Path(write_fit(run, record, THETA)["folder"])
+    record = FitRecord(name=name, error=0.5, seconds=0.1, settings=Settings(steps=10))
+    return Path(write_fit(run, record, THETA).folder)
 
 
 BAD_RECORDS: dict[str, Any] = {
@@ -46,11 +48,11 @@ def test_a_bad_record_is_passed_over_with_a_warning(tmp_path: Path, change: Any)
     fit_folder(tmp_path, "tin")
     text = change if isinstance(change, str) else json.dumps({**json.loads(file.read_text()), **change})
     file.write_text(text, errors="surrogateescape")
-    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
-        assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == ["tin"]
+    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task \(.+\); passed over"):
+        assert [record.name for record in read_fit_records(tmp_path, timed=True)] == ["tin"]
     again = fit_folder(tmp_path, "gold")  # whose the folder is cannot be said
     with pytest.warns(UserWarning, match="no record"):
-        assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == [again.name, "tin"]
+        assert [record.name for record in read_fit_records(tmp_path, timed=True)] == [again.name, "tin"]
 
 
 DAMAGED = {
@@ -69,9 +71,14 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
         file.write_text(json.dumps({**whole, place: new}))
         for run in (folder, folder.parent):
             for words in (("export", run, "merl"), ("view", run), ("compare", run, run)):
-                line = metapp(*words).error
-                assert "record.json: m0: " in line, words
-                assert "expected" in line
+                result = metapp(*words)
+                if value == {"data": None}:  # a record without a setting
+                    assert "record.json: m0: 'data' is missing, expected text; fit again." in result.refusal, words
+                    continue
+                line = result.refusal if run == folder else result.err.splitlines()[0]
+                assert re.search(r"/m0/record.json: no record, expected one of a task \(Expected .*\); ", line), words
+                assert (f".{place}" in line, "expected" in result.error) == (True, True), words
+                assert len(result.err.splitlines()) == (1 if run == folder else 2)
 
 
 # Checkpoints

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from msgspec.structs import replace
 
 from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import find_compiler, load_library
@@ -17,10 +18,11 @@ from metapp.storage.files import (
     read_bytes,
     read_text,
 )
+from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records, write_fit
 
 KEYS = "first\nlast"
-GOLD = {"name": "gold", "error": 1.0, "seconds": 1.0}
+GOLD = FitRecord(name="gold", error=1.0, seconds=1.0)
 THETA = {"w": torch.zeros(1)}
 
 
@@ -49,18 +51,18 @@ def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name:
     before = keys.read_bytes()
     file.unlink()
     link(file, keys)
-    kept = write_fit(sent, GOLD | {"error": 2.0}, THETA)
-    assert (kept["folder"], file.is_symlink(), file.stat().st_nlink) == (str(sent / "gold"), False, 1)
+    kept = write_fit(sent, replace(GOLD, error=2.0), THETA)
+    assert (kept.folder, file.is_symlink(), file.stat().st_nlink) == (str(sent / "gold"), False, 1)
     assert keys.read_bytes() == before
-    assert [record["error"] for record in read_fit_records(sent)] == [2.0]
+    assert [record.error for record in read_fit_records(sent)] == [2.0]
 
 
 def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None:
     (sent / "gold").symlink_to(keys.parent)
-    write_fit(keys.parent.parent, GOLD | {"name": "home"}, THETA)  # even where a fit is
+    write_fit(keys.parent.parent, replace(GOLD, name="home"), THETA)  # even where a fit is
     kept = write_fit(sent, GOLD, THETA)
-    assert kept["name"].startswith("gold-")
-    assert (sent / kept["name"] / RECORD).is_file()
+    assert kept.name.startswith("gold-")
+    assert (sent / kept.name / RECORD).is_file()
     assert [path.name for path in keys.parent.iterdir()] == ["keys"]
 
 

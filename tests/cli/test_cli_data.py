@@ -22,12 +22,12 @@ from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
-from metapp.registry import registry
 from metapp.rendering.scenes.stored_text import decode_scene
 from metapp.runs.inputs.embedded import make_embedded_set, split_counts
 from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
 from tests.conftest import CommandResult
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import application
 from tests.small_spheres import run_with_small_spheres
 
 FEW = ("--samples", "64")
@@ -310,10 +310,10 @@ def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
     assert len(result.json_document["test"]) == 1
     assert list_data_set_problems(folder) == []
     before = (folder / "manifest.json").stat().st_mtime_ns
-    assert make_embedded_set("brdf", count=5, quiet=True) == folder
+    assert make_embedded_set(application("brdf"), count=5, quiet=True) == folder
     assert (folder / "manifest.json").stat().st_mtime_ns == before
     next(folder.glob("*.safetensors")).unlink()  # damaged: made again
-    assert make_embedded_set("brdf", count=5, quiet=True) == folder
+    assert make_embedded_set(application("brdf"), count=5, quiet=True) == folder
     assert list_data_set_problems(folder) == []
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
 
@@ -343,10 +343,10 @@ OF_FEW_SAMPLES = SimpleNamespace(**vars(synthetic_transport) | {"synthetic_tasks
 
 def embed(monkeypatch: pytest.MonkeyPatch, app: str, name: str) -> None:
     """Have the registry name an object of this module as the embedded set of an application."""
-    application = registry().applications[app]
-    assert application.synthetic is not None
-    entry = replace(application.synthetic, reference=f"{__name__}:{name}")
-    monkeypatch.setitem(vars(application), "synthetic", entry)
+    synthetic = application(app).synthetic
+    assert synthetic is not None
+    entry = replace(synthetic, reference=f"{__name__}:{name}")
+    monkeypatch.setitem(vars(application(app)), "synthetic", entry)
 
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -355,13 +355,13 @@ def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.Mo
     stale.mkdir(parents=True)
     os.utime(stale, (time.time() - 7200,) * 2)
     with pytest.raises(KeyboardInterrupt):
-        make_embedded_set("brdf", quiet=True)
+        make_embedded_set(application("brdf"), quiet=True)
     assert list((cache / "data").iterdir()) == []
 
 
 def test_counts_keep_the_proportion() -> None:
     for count, train, test in ((None, 80, 20), (1, 1, 0), (2, 1, 1), (10, 8, 2), (13, 10, 3)):
-        assert split_counts("brdf", count) == {"train": train, "test": test}, count
+        assert split_counts(application("brdf"), count) == {"train": train, "test": test}, count
 
 
 def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -399,7 +399,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
 @needs_mitsuba
 def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     embed(monkeypatch, "transport", "OF_FEW_SAMPLES")
-    folder = make_embedded_set("transport", count=3, quiet=True)
+    folder = make_embedded_set(application("transport"), count=3, quiet=True)
     assert [task.name for task in read_manifest(folder).tasks] == ["box-000", "box-001", "box-t000"]
     assert list_data_set_problems(folder) == []
     assert (folder / "box-t000.json").is_file()

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from torch import Tensor
@@ -17,8 +16,9 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.console import MAX_MESSAGE_CHARACTERS, shorten_to_line
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
-from metapp.runs import fitting
+from metapp.runs import fitter
 from metapp.runs.memory_errors import describe_short_memory
+from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.conftest import CommandResult
 
@@ -37,7 +37,6 @@ def only_error_line(result: CommandResult) -> str:
 SLOW_WRITER = """
 import sys, time, torch
 from pathlib import Path
-from typing import Any
 from metapp.storage.shards import write_data_set
 from metapp.learning.task import Task
 def slow():
@@ -94,7 +93,7 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
     (task,) = result.json_document["tasks"]
     assert task["name"].isprintable()
     folder = Path(result.json_document["out"])
-    assert [record["name"] for record in read_fit_records(folder)] == [task["name"]]
+    assert [record.name for record in read_fit_records(folder)] == [task["name"]]
     assert (folder / "pictures.png").is_file()
     place = Path(task["folder"])
     assert (place / PARAMS).is_file()
@@ -159,18 +158,19 @@ def test_unexpected_errors_are_one_line_that_asks_for_a_report(
 def test_records_state_threads_and_fits_that_end_worse(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def record(*words: str) -> tuple[CommandResult, dict[str, Any]]:
+    def record(*words: str) -> tuple[CommandResult, FitRecord]:
         result = fit("overfit", network, "--steps", "2", "--json", *words)
         return result, read_fit_records(Path(result.json_result["out"]))[-1]
 
     _, whole = record()
-    assert whole["threads"] == 1  # BRDFs are fitted by one thread
-    assert "threads" not in whole["settings"]
-    assert "warning" not in whole
+    assert whole.threads == 1  # BRDFs are fitted by one thread
+    assert "threads" not in whole.settings.document()
+    assert whole.warning == ""
+    assert "warning" not in whole.document()
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit=Adam(1.0)))
     result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
-    assert worse["warning"].startswith("the visible loss rose from ")
-    assert result.json_result["tasks"][0]["warning"] == worse["warning"]
-    monkeypatch.setattr(fitting, "draw_per_task", None)
+    assert worse.warning.startswith("the visible loss rose from ")
+    assert result.json_result["tasks"][0]["warning"] == worse.warning
+    monkeypatch.setattr(fitter, "draw_per_task", None)
     assert "warning" not in fit("meta", network, "--json").json_result["tasks"][0]  # its guard compared them

@@ -1,6 +1,5 @@
 """`metapp export`: the fits of a run in other forms, which their programs load."""
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from metapp.storage.fit_records import encode_record
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.recipe_apps import exports_of
 from tests.small_spheres import run_with_small_spheres
@@ -115,6 +115,6 @@ def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, r
     (run / "m0" / PARAMS).write_bytes(b"hello")
     assert "m0/params.safetensors: fitted parameters not readable" in metapp("export", run, "merl").error
     record = read_fit_records(run)[0]
-    record["settings"]["recipe"] = "other"
-    (run / "m0" / RECORD).write_text(json.dumps(record))
+    record.settings.recipe = "other"
+    (run / "m0" / RECORD).write_bytes(encode_record(record))
     assert "a fit of other settings than are known" in metapp("export", run, "merl").error

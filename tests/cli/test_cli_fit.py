@@ -21,10 +21,10 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
-from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import content_digest
-from metapp.storage.fit_store import RECORD, RunFolder, read_fit_records, read_params
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import RECORD, FitStore, read_fit_records, read_params
 from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")
@@ -87,7 +87,7 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
         assert read_params(folder / name)
     assert "error: 2 exports were not written; all fits are kept." in output
     assert "inputs were not fitted" not in output
-    assert [record["name"] for record in read_fit_records(folder)] == ["m4", "m9"]
+    assert [record.name for record in read_fit_records(folder)] == ["m4", "m9"]
 
 
 @pytest.mark.parametrize(("number", "fitted"), [(errno.ENOSPC, 1), (errno.EACCES, 3)])
@@ -95,15 +95,15 @@ def test_a_fit_that_cannot_be_written_leaves_the_others_and_the_report(
     metapp: Callable, write_nbrdf_networks: Callable, monkeypatch: pytest.MonkeyPatch, number: int, fitted: int
 ) -> None:
     """The second of four fits is not written: a full disk ends the fits, a folder without rights ends none."""
-    write_fit, records = RunFolder.write, []
+    write_fit, records = FitStore.write, []
 
-    def write(folder: RunFolder, record: Document, *arguments: Any) -> Document:
+    def write(store: FitStore, record: FitRecord, *arguments: Any) -> FitRecord:
         records.append(record)
         if len(records) == 2:
             raise OSError(number, os.strerror(number))
-        return write_fit(folder, record, *arguments)
+        return write_fit(store, record, *arguments)
 
-    monkeypatch.setattr(RunFolder, "write", write)
+    monkeypatch.setattr(FitStore, "write", write)
     result = metapp("general", "brdf", write_nbrdf_networks(4), "--json")
     assert result.code == 1
     assert len(result.json_document["tasks"]) == fitted
@@ -123,10 +123,10 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert f"fits: {folder}" in result.err
     assert f"to look at: metapp view {folder}" in result.err
     records = read_fit_records(folder)
-    assert [record["name"] for record in records] == ["m4", "m9"]
-    assert all(record["settings"]["adam"]["rate"] > 0 for record in records)
-    assert records[0]["settings"]["steps"] == 40
-    assert records[0]["settings"]["versions"]["torch"] == str(torch.__version__)
+    assert [record.name for record in records] == ["m4", "m9"]
+    assert all(record.settings.adam and record.settings.adam["rate"] > 0 for record in records)
+    assert records[0].settings.steps == 40
+    assert records[0].settings.versions["torch"] == str(torch.__version__)
     assert load_file(folder / "m4" / "params.safetensors")["w2"].shape == (21, 21)
     assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png"}
     assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
@@ -140,8 +140,9 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
         rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().error_measure.text)}\), (\d+\.\d) s in all\n", result.out
     ).groups()
     (record,) = read_fit_records(Path("runs/brdf/general-quick"))
-    assert error == f"{record['error']:.3f}"
-    assert float(seconds) + 0.05 >= record["seconds"]
+    assert error == f"{record.error:.3f}"
+    assert record.seconds is not None
+    assert float(seconds) + 0.05 >= record.seconds
     folder = "runs/brdf/general-quick/m1"
     *_, merl, mitsuba, spectral, fits, view = result.err.splitlines()
     assert [merl, mitsuba] == [f"merl: {folder}/merl/m1.binary", f"mitsuba: {folder}/mitsuba/m1/m1.xml"]
@@ -185,7 +186,8 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     document = result.json_document
     assert len(result.out.splitlines()) == 1
     keys = ["app", "paradigm", "rule", "steps", "device", "data", "error", "seconds", "tasks", "out"]
-    assert sorted(document) == sorted([*keys, "guarded", "failures", "tasks_per_second"])
+    assert sorted(document) == sorted([*keys, "guarded", "failures", "scale", "tasks_per_second"])
+    assert document["scale"] == Brdf().error_measure.scale
     assert (document["app"], document["paradigm"], document["rule"]) == ("brdf", "meta", "meta-sgd")
     assert document["steps"] == 10
     assert sorted(document["tasks"][0]) == ["error", "folder", "name", "note", "seconds"]  # it reflects more than all
@@ -275,7 +277,8 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
     record = read_fit_records(Path(tuned.json_document["out"]))[-1]
-    assert record["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
+    assert record.settings.adam is not None
+    assert record.settings.adam["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
 def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
@@ -297,7 +300,7 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert "1 of 2 inputs are skipped, since they have a fit by equal settings" in fit("overfit", "--resume").err
     first, second = read_fit_records(run)
     assert first == kept
-    assert second["name"] == "m9"
+    assert second.name == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
     assert read_fit_records(run) == [first, second]
@@ -452,8 +455,8 @@ def test_records_state_the_albedo_of_brdfs(fit: Callable) -> None:
     done = fit("meta", "--conserve", "--json")
     assert done.code == 0, done.err
     record = read_fit_records(Path(done.json_document["out"]))[0]
-    assert len(record["albedo"]) == 16
-    assert max(record["albedo"]) <= 1
+    assert len(record.figures["albedo"]) == 16
+    assert max(record.figures["albedo"]) <= 1
     assert "-conserve" in done.json_document["out"]
     refused = fit("meta", "--recipe", "few", "--conserve")
     assert refused.code == 2

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from metapp.learning.task import Task
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.fit_store import read_fit_records, write_fit
 from metapp.storage.shards import write_data_set
 from tests.extensions.capture.ball_photos import detailed_light, write_linear_png
@@ -65,10 +66,10 @@ def folders(tmp_path: Path) -> Path:
         write_data_set(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
     (tmp_path / "set/found").mkdir()
     write_noise_photo(tmp_path / "set/found/0060.png")
-    settings = {"app": "texture", "paradigm": "meta", "rule": "basis", "recipe": "quick", "data": "files"}
-    record = {"name": "bark", "error": 1.0, "seconds": 1.0, "settings": settings}
+    settings = Settings(app="texture", paradigm="meta", rule="basis", recipe="quick", data="files")
+    record = FitRecord(name="bark", error=1.0, seconds=1.0, settings=settings)
     kept = write_fit(tmp_path / "runs/texture/meta", record, {"w": torch.zeros(2)})
-    for place in (Path(kept["folder"]) / "texture.png", tmp_path / "runs/texture/meta/pictures.png"):
+    for place in (Path(kept.folder) / "texture.png", tmp_path / "runs/texture/meta/pictures.png"):
         write_noise_photo(place)
     return tmp_path
 
@@ -115,7 +116,7 @@ def test_a_data_set_as_input_is_fitted_as_by_its_option(
     assert [task["error"] for task in by_input["tasks"]] == [task["error"] for task in by_option["tasks"]]
     assert Path(by_input["out"]).name == Path(by_option["out"]).name == f"meta-{by_input['data']}-quick"
     (one, other) = (read_fit_records(Path(result["out"])) for result in (by_input, by_option))
-    assert [record["origin"] for record in one] == [record["origin"] for record in other]
+    assert [record.origin for record in one] == [record.origin for record in other]
     # and where it has moved, a page, an export and a comparison find it as --data or as an input
     Path("moved").mkdir()
     Path("set").rename("moved/set")

@@ -139,7 +139,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     call = ("baseline", "svbrdf_nonstationary", "--observe", "photo", "--method", "predicted", "--data", OUT)
     judged = metapp(*call, "--recipe", "quick", "--json").json_result
     (record,) = judged["tasks"]
-    assert record["normal"] < 20
+    assert record["errors"]["normal"] < 20
     assert {"seconds", "threads"}.isdisjoint(record)
     assert (Path(judged["out"]) / "1_a_0" / "normal.png").is_file()
     options = ("--observe", "photo", "--data", OUT, "--recipe", "quick")
@@ -148,7 +148,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert compared.code == 0
     assert "no picture" in compared.err
     assert [side["label"] for side in compared.json_document["runs"]] == ["general", "predicted"]
-    assert compared.json_document["runs"][1]["measures"]["normals, degrees"]["mean"] == record["normal"]
+    assert compared.json_document["runs"][1]["measures"]["normals, degrees"]["mean"] == record["errors"]["normal"]
     assert "normals, degrees: " in " ".join(metapp("compare", ours, judged["out"]).out.split())
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0

@@ -1,20 +1,24 @@
 """`--batch` and `--resume`: many inputs, side by side, whatever is broken among them."""
 
+import json
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace as replace_fields
 from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.learning.task import Params, Tasks
-from metapp.runs import execution, fitting
+from metapp.learning.task import Params, Task, Tasks
+from metapp.runs import execution, fitter
+from metapp.runs.fit import Fit
+from metapp.runs.fitter import Fitter
 from metapp.runs.inputs.run_inputs import Input
-from metapp.storage.fit_store import name_with_digest, read_fit_records
+from metapp.storage.fit_store import RECORD, name_with_digest, read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -37,13 +41,13 @@ def fit(metapp: Callable, materials: Path) -> Callable:
 @pytest.fixture
 def fitted_batches(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """The names of the tasks in each batch."""
-    batches, original = [], fitting.fit_side_by_side
+    batches, original = list[list[str]](), Fitter.fit_side_by_side
 
-    def fit(run, tasks, *more, **options):
+    def fit(self: Fitter, tasks: Sequence[Task]) -> list[Fit]:
         batches.append([task.name for task in tasks])
-        return original(run, tasks, *more, **options)
+        return original(self, tasks)
 
-    monkeypatch.setattr(fitting, "fit_side_by_side", fit)
+    monkeypatch.setattr(Fitter, "fit_side_by_side", fit)
     return batches
 
 
@@ -59,7 +63,7 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted_batches
     assert together["tasks_per_second"] > 0
     assert together["failures"] == []
     folder = Path(together["out"])
-    assert [record.get("batch") for record in read_fit_records(folder)] == [2, 2, 2, 2, None]  # seconds are shares
+    assert [record.batch for record in read_fit_records(folder)] == [2, 2, 2, 2, 1]  # seconds are shares
     assert folder == Path(alone["out"])
     assert (folder / "pictures.png").is_file()
     assert (folder / "m3" / "params.safetensors").is_file()
@@ -92,6 +96,23 @@ def test_fitted_inputs_are_not_fitted_again(fit: Callable, fitted_batches: list[
     assert fitted_batches == [["m1", "new"]]
     fit("--resume", "--seed", "3")
     assert fitted_batches[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
+
+
+def test_fits_of_earlier_versions_are_not_fitted_again(fit: Callable, fitted_batches: list[list[str]]) -> None:
+    """In their records, errors and figures stand beside the other entries."""
+    folder = Path(fit().json_document["out"])
+    before = read_fit_records(folder)
+    assert all(record.figures["albedo"] for record in before)
+    for record in before:
+        document = record.document()
+        del document["scale"]
+        for part in ("errors", "figures"):
+            document |= document.pop(part, {})
+        Path(record.folder, RECORD).write_text(json.dumps(document))
+    assert [replace_fields(record, scale=100.0) for record in read_fit_records(folder)] == before
+    del fitted_batches[:]
+    assert "5 of 5 inputs are skipped, since they have a fit by equal settings" in fit("--resume").err
+    assert fitted_batches == []
 
 
 def test_a_broken_file_stops_no_other(fit: Callable, fitted_batches: list[list[str]], materials: Path) -> None:
@@ -127,8 +148,8 @@ def test_failed_fits_are_separated_from_their_batch(
     assert "not finite" in result.json_document["failures"][0]["reason"]
     assert fitted_batches == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
     records = read_fit_records(Path(result.json_document["out"]))
-    assert [record["name"] for record in records] == ["m0", "m2", "m3", "m4"]
-    assert not any("batch" in record for record in records)
+    assert [record.name for record in records] == ["m0", "m2", "m3", "m4"]
+    assert all(record.batch == 1 and "batch" not in record.document() for record in records)
 
 
 def test_batches_beyond_the_memory_are_fitted_one_by_one(
@@ -173,8 +194,8 @@ def test_faults_of_warm_ups_doubts_and_pictures_end_no_other_fit(
             fail()
         draw(pictures, folder)
 
-    monkeypatch.setattr(fitting, "warm_up", fail)
-    monkeypatch.setattr(fitting, "warnings_of", fail)
+    monkeypatch.setattr(Fitter, "warm_up", fail)
+    monkeypatch.setattr(fitter, "warnings_of", fail)
     monkeypatch.setattr(execution, "write_pictures", draw_but_one)
     run = fit()
     assert run.code == 1

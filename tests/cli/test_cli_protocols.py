@@ -13,7 +13,6 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import torch
-from metapp.runs.run import Run
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -33,7 +32,8 @@ from metapp.cli.progress import Terminal
 from metapp.evaluation.tables.results import describe_gap
 from metapp.networks.field import LocalField
 from metapp.registry import registry
-from metapp.runs.execution import execute_run
+from metapp.runs.choice import choose_as_recorded, find_and_choose
+from metapp.runs.execution import execute
 from metapp.runs.fit_options import fit_options
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import Bar, use_reporter
@@ -162,7 +162,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     assert 0 < document["photo_error"] == document["tasks"][0]["photo_error"] < 30
     assert document["out"].endswith("-photo")
-    assert read_fit_records(Path(document["out"]))[0]["settings"]["observe"] == "photo"
+    assert read_fit_records(Path(document["out"]))[0].settings.observe == "photo"
     output_folder = Path(document["out"]) / "photo"
     assert {path.name for path in output_folder.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
@@ -180,8 +180,8 @@ def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, caps
 
     def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
         with use_reporter(Terminal()):
-            run = Run.from_options(fit_options(app, "general", inputs, recipe="quick", **more))
-        return run.app.observes, capsys.readouterr().err.strip()
+            choice = find_and_choose(fit_options(app, "general", inputs, recipe="quick", **more))
+        return choice.app.observes, capsys.readouterr().err.strip()
 
     assert chosen(photo) == ("photo", f"{app}: fits see: photo, since every input is a photo alone")
     assert chosen(reference) == ("reference", f"{app}: fits see: reference, since every input has one")
@@ -237,9 +237,7 @@ def test_cropping_is_reported_and_progress_shown(shot: Path, capsys: Any) -> Non
             return nullcontext(bar)
 
     with use_reporter(Shown()):
-        execute_run(
-            Run.from_options(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16"))
-        )
+        execute(find_and_choose(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
     lines = capsys.readouterr().err.splitlines()
     notes = [f"wide{number}.png: 96 x 64 px: the central 64 x 64 px, scaled to 256 x 256" for number in range(2)]
     assert [line for line in lines if "px" in line][1:] == notes
@@ -305,9 +303,8 @@ def test_exposure_option_scales_the_photo(metapp: Callable, shot: Path) -> None:
     fits = {stops: metapp(*common, "--stops", stops).json_document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run_records(Path(fit["out"])).records for fit in fits.values()]
-    (one,), (other,) = (
-        find_fitted_tasks(run, Run.from_settings(run[0]["settings"]).app, [], None).values() for run in runs
-    )
+    assert [choose_as_recorded(run[0].settings).app.observes for run in runs] == ["photo", "photo"]
+    (one,), (other,) = (find_fitted_tasks(run, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
     assert "--stops: only with --observe photo; add that." in misuse

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from metapp.runs.recipe_choice import choose_recipe
-from metapp.runs.run import Run
 from safetensors.torch import save_file
 
 import metapp as api
@@ -33,7 +31,8 @@ from metapp.extensions.scene_files import scene_reader
 from metapp.extensions.viewer.pages import transport as page
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
 from metapp.storage.fit_store import PARAMS, read_fit_records, read_params
@@ -129,7 +128,7 @@ def mark(case: Case) -> Any:
 def ships_checkpoint(options: FitOptions) -> bool:
     """Return whether a checkpoint ships by which these options fit; one that does not belong to the recipe raises."""
     try:
-        attach_checkpoint(Run.from_options(options))
+        load_phi(find_and_choose(options))
     except ValueError as error:
         if "no checkpoint ships" not in str(error):
             raise
@@ -206,18 +205,18 @@ def run(metapp: Callable, command: list[str | Path]) -> Path:
 @pytest.mark.parametrize("case", [case if case in QUICK_CASES else mark(case) for case in CASES], ids=str)
 def test_fits_are_opened_again(case: Case, metapp: Callable, command: list[str | Path], run: Path) -> None:
     records = read_fit_records(run)
-    assert [record["name"] for record in records] == list(NAMES)
+    assert [record.name for record in records] == list(NAMES)
     for record in records:
-        settings, fit = record["settings"], api.load(record["folder"])
-        assert (settings["app"], settings.get("observe", ""), settings["recipe"]) == case
-        assert (fit.name, fit.error, fit.settings) == (record["name"], record["error"], settings)
-        stored = read_params(record["folder"])
+        settings, fit = record.settings, api.load(record.folder)
+        assert (settings.app, settings.observe, settings.recipe) == case
+        assert (fit.name, fit.error, fit.settings) == (record.name, record.error, settings.document())
+        stored = read_params(record.folder)
         assert all(torch.equal(fit.parameters[key], value) for key, value in stored.items())
         theta = {key: value[None] for key, value in fit.parameters.items()}
         errors = fit.app.errors(theta, stack_tasks(fit.app, [fit.task]))
-        assert ("error" in errors) == (record["error"] is not None)
+        assert ("error" in errors) == (record.error is not None)
         if "error" in errors:
-            assert float(errors["error"]) * fit.app.error_measure.scale == pytest.approx(record["error"], rel=1e-3)
+            assert float(errors["error"]) * fit.app.error_measure.scale == pytest.approx(record.error, rel=1e-3)
     assert metapp("view", run, "--out", "page.html", "--no-open").code == 0
     assert all(name in Path("page.html").read_text() for name in NAMES)
     other = shutil.copytree(run, run.with_name("other"))

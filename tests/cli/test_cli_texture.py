@@ -16,9 +16,9 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import normal_from_height, unpack_maps
 from metapp.apps.exemplar.octaves import Octaves
+from metapp.entries import load_reference
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
-from metapp.registry import load_reference
 from metapp.storage.fit_store import read_fit_records
 from tests.appearance.test_features import random_weights
 from tests.pictures import write_noise_photo
@@ -102,10 +102,12 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
         long = fit("long")
     (one,), (other,) = (read_fit_records(run) for run in (short_app, long))
     if app == "svbrdf_stationary":  # whose fits gain less by it
-        assert (one["settings"], one["error"]) == (other["settings"], other["error"])
+        assert (one.settings, one.error) == (other.settings, other.error)
         return
-    assert one["settings"] == other["settings"] | {"precision": "VGG in bfloat16"}
-    assert 0 < abs(one["error"] - other["error"]) < 0.01 * other["error"]
+    assert one.settings.document() == other.settings.document() | {"precision": "VGG in bfloat16"}
+    assert one.error is not None
+    assert other.error is not None
+    assert 0 < abs(one.error - other.error) < 0.01 * other.error
 
 
 def test_files_are_written_in_the_size_asked_for(app: str, data: str, metapp: Callable, wall: Path) -> None:

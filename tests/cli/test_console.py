@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from metapp.paradigms import PARADIGMS
-from metapp.registry import Command, Entry, registry
+from metapp.registry import Command, registry
 
 # names are printed as they are, whatever they look like: markup, emoji codes
 NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
@@ -28,7 +28,7 @@ def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeyp
             *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
         ],
     ]
-    monkeypatch.setitem(registry().commands, "last", Entry("os:getcwd"))
+    monkeypatch.setitem(registry().commands, "last", Command("os:getcwd"))
     monkeypatch.setitem(registry().commands, "second", Command("os:getcwd", position=15))
     names = re.findall(r"^│ ([a-z][a-z-]*)", metapp("--help").out, re.MULTILINE)
     assert names == ["try", "second", *listed[0][1:], "last"]

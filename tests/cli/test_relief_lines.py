@@ -8,6 +8,7 @@ import torch
 from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relighting_positions
 from metapp.appearance.surface import photograph_maps, scale_relief
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES, relief_lines
+from metapp.storage.fit_records import FitRecord
 
 SIDE = 48  # px
 VISIBLE = 0.02  # of display values, the mean of pictures under three lights
@@ -46,19 +47,23 @@ def difference_of_readings(maps: Maps) -> float:
     return sum(float((relief - inverse).abs().mean()) for relief, inverse in pairs) / len(pairs)
 
 
+def fit_of_tilt(degrees: float, **counts: int) -> FitRecord:
+    """Return the record of a fit whose normals have a mean tilt."""
+    return FitRecord(name="wall", error=None, counts=counts, figures={"mean_tilt_degrees": degrees})
+
+
 @pytest.mark.parametrize("seed", range(20, 40))  # the threshold was chosen on 0 to 19
 @pytest.mark.parametrize(("times", "is_said"), [(2.0, True), (1 / 3, False)])
 def test_dents_and_bumps_cause_a_line_where_they_look_different(seed: int, times: float, is_said: bool) -> None:
     maps = tilted(material(seed), times * VISIBLE_TILT_DEGREES)
     assert (difference_of_readings(maps) > VISIBLE) is is_said
-    (line,) = relief_lines([{"mean_tilt_degrees": mean_tilt_degrees(maps.normal)}])
+    (line,) = relief_lines([fit_of_tilt(mean_tilt_degrees(maps.normal))])
     assert (DOUBT in line) is is_said
 
 
 def test_each_run_prints_one_line_about_dents() -> None:
-    steep, flat = {"mean_tilt_degrees": 9.0}, {"mean_tilt_degrees": 0.4}
-    several = steep | {"counts": {"photos": 5}}
-    assert relief_lines([{"error": 1.0}]) == []
+    steep, flat, several = fit_of_tilt(9.0), fit_of_tilt(0.4), fit_of_tilt(9.0, photos=5)
+    assert relief_lines([FitRecord(name="gold", error=1.0)]) == []
     assert relief_lines([flat] * 3) == ["relief: mean tilt 0.4 degrees, median of 3, up to 0.4"]
     (line,) = relief_lines([flat, flat, steep])
     assert re.match(rf"relief: mean tilt 0\.4 degrees, median of 3, up to 9\.0; {DOUBT}, .*metapp data rectify", line)

@@ -259,7 +259,9 @@ def checkpoints() -> list[Files]:
 
 
 def records() -> list[Files]:
-    """Return the record of a fit."""
+    """Return records of a fit: as earlier versions wrote it, and as it is written now."""
     settings = {"app": "brdf", "steps": 10}
     record = {"name": "a", "error": 0.5, "seconds": 0.1, "source": "/a.csv", "content": "12ab", "settings": settings}
-    return [{"record.json": json.dumps(record, indent=1).encode()}]
+    parts = {"scale": 100.0, "errors": {"map": 0.2}, "figures": {"albedo": [0.1, 0.2, 0.3]}, "counts": {"photos": 2}}
+    parts |= {"origin": {"inputs": ["/a.csv"]}}
+    return [{"record.json": json.dumps(document, indent=1).encode()} for document in (record, record | parts)]

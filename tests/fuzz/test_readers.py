@@ -97,15 +97,16 @@ def small_tasks() -> Any:
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """Read files as --checkpoint, and take one step of a fit."""
-    from metapp.runs.run import Run
 
-    from metapp.runs.checkpoint_selection import attach_checkpoint
+    from metapp.runs.checkpoint_selection import load_phi
+    from metapp.runs.choice import find_and_choose
     from metapp.runs.fit_options import fit_options
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = attach_checkpoint(Run.from_options(fit_options("brdf", **options, device="cpu", quiet=True)))
+    by = find_and_choose(fit_options("brdf", **options, device="cpu", quiet=True))
+    phi = load_phi(by).phi
     try:
-        theta = by.paradigm.fit(by.phi, small_tasks(), torch.Generator().manual_seed(0))
+        theta = by.paradigm.fit(phi, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged
         return
     assert all(bool(value.isfinite().all()) for value in theta.values())
@@ -113,14 +114,15 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """Read files as a table does, which shows all finished tasks."""
-    from metapp.storage.fit_store import NUMBER_ENTRIES, RunFolder, summary
+    from metapp.storage.fit_records import Settings, summary
+    from metapp.storage.fit_store import FitStore
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)
     shutil.copy(file, place)
-    records = RunFolder(folder / "fits", {"app": "brdf", "steps": 10}, NUMBER_ENTRIES).records()
+    records = FitStore(folder / "fits", Settings(app="brdf", steps=10), timed=True).records()
     for record in records.values():
-        numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
+        numbers = [record.seconds, *([] if record.error is None else [record.error])]
         assert all(math.isfinite(number) for number in numbers)
     if records:
         summary(list(records.values()))

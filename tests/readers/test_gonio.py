@@ -15,7 +15,7 @@ from data_tools.readers import gonio, measured_pairs
 from data_tools.readers.measured_pairs import MeasuredPairs
 from metapp.appearance.colorimetry import import_colour_science, spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz, is_above_horizon, rusinkiewicz_to_directions
-from metapp.registry import load_reference
+from metapp.entries import load_reference
 from metapp.runs import api
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

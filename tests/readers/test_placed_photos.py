@@ -19,11 +19,10 @@ from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
-from metapp.runs.recipe_choice import choose_recipe
-from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
@@ -114,7 +113,7 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, missing_we
     one = "full" if missing_weights else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
-        return Run.from_options(fit_options(APP, "general", inputs, observe=observe)).options.recipe
+        return find_and_choose(fit_options(APP, "general", inputs, observe=observe)).options.recipe
 
     assert recipe(folder) == recipe(folder.parent) == "several"
     assert recipe(folder / "a.png") == one
@@ -153,10 +152,10 @@ def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, m
     )
     for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
         with pytest.raises(BadOption, match=re.escape(line)):
-            Run.from_options(fit_options(APP, "general", inputs, observe="photo"))
+            find_and_choose(fit_options(APP, "general", inputs, observe="photo"))
         for recipe in ("full", "several"):
             assert (
-                Run.from_options(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe
+                find_and_choose(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe
                 == recipe
             )
     result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
@@ -242,9 +241,10 @@ def test_fits_of_five_photos_have_lower_errors_than_fits_of_one() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
-        by = attach_checkpoint(Run.from_options(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        by = find_and_choose(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True))
+        phi = load_phi(by).phi
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
-        theta = [by.paradigm.fit(by.phi, stack_tasks(by.app, [task]), Generator()) for task in of]
+        theta = [by.paradigm.fit(phi, stack_tasks(by.app, [task]), Generator()) for task in of]
         found = [by.app.errors(parameters, stack_tasks(by.app, [t])) for parameters, t in zip(theta, of, strict=True)]
         errors[recipe, paradigm] = {
             key: sum(float(errors_of_task[key]) for errors_of_task in found) / len(found) for key in ("error", "normal")

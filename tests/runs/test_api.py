@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import pickle
 import re
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from msgspec.structs import replace
 from PIL import Image
 from safetensors.torch import save_file
 from torch import Generator
@@ -24,7 +26,7 @@ from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.apps.illumination.suns import SUN_SPECS
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import read_tensors, to_json_value
-from metapp.storage.fit_store import pack_fit, write_fit
+from metapp.storage.fit_store import RECORD, pack_fit, write_fit
 from metapp.storage.parameters import check_params
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
@@ -121,7 +123,7 @@ def test_parameters_of_another_network_are_refused(
     theta = damaged(general.parameters, how)
     (tmp_path / "a.safetensors").write_bytes(pack_fit(general.record, theta))
     folder = tmp_path / "run" / "a"
-    write_fit(folder.parent, {**general.record, "name": "a"}, theta)
+    write_fit(folder.parent, replace(general.record, name="a"), theta)
     for place in (folder, tmp_path / "a.safetensors"):
         with pytest.raises(ValueError, match=rf"^{place}: parameters .*{problem}; fit anew"):
             api.load(place)
@@ -134,10 +136,36 @@ def test_parameters_of_another_network_are_refused(
     ("key", "value"), [("steps", "ten"), ("seed", 0.5), ("adam", []), ("versions", "1"), ("recipe", 3), ("device", {})]
 )
 def test_settings_of_another_kind_are_refused(general: api.Fit, tmp_path: Path, key: str, value: object) -> None:
-    record = {**general.record, "settings": {**general.settings, key: value}}
-    (tmp_path / "a.safetensors").write_bytes(pack_fit(record, general.parameters))
-    with pytest.raises(ValueError, match=f"'{key}' is .*, expected .*; fit again"):
-        api.load(tmp_path / "a.safetensors")
+    document = general.record.document()
+    document["settings"][key] = value
+    save_file(general.parameters, tmp_path / "a.safetensors", {RECORD: json.dumps(document)})
+    folder = tmp_path / "run" / "a"
+    write_fit(folder.parent, replace(general.record, name="a"), general.parameters)
+    (folder / RECORD).write_text(json.dumps(document))
+    for place in (folder, tmp_path / "a.safetensors"):
+        with pytest.raises(ValueError, match=rf"^{place}.*Expected `.*`, got `.*` - at `\$\.settings\.{key}`"):
+            api.load(place)
+
+
+def test_records_of_earlier_versions_are_read(general: api.Fit, tmp_path: Path) -> None:
+    """They have further errors, figures and settings beside the other entries, and do not state a scale."""
+    document = general.record.document()
+    for name in ("scale", "errors", "figures"):
+        document.pop(name, None)
+    document |= {"map": 0.2, "albedo": [0.1, 0.2, 0.3], "mean_tilt_degrees": 3.0}
+    document["settings"]["precision"] = "float32"
+    save_file(general.parameters, tmp_path / "a.safetensors", {RECORD: json.dumps(document)})
+    folder = tmp_path / "run" / "a"
+    write_fit(folder.parent, replace(general.record, name="a"), general.parameters)
+    (folder / RECORD).write_text(json.dumps(document))
+    for place in (folder, tmp_path / "a.safetensors"):
+        fit = api.load(place)
+        assert fit.errors == {"error": general.error, "map": 0.2}
+        assert fit.record.figures == {"albedo": [0.1, 0.2, 0.3], "mean_tilt_degrees": 3.0}
+        assert fit.record.settings.further["precision"] == "float32"
+        assert fit.settings == general.settings | {"precision": "float32"}
+        again = api.load(fit.save(tmp_path / "again.safetensors"))  # as records are written now
+        assert replace(again.record, folder="") == replace(fit.record, folder="")
 
 
 def test_completion_lists_the_api_alone() -> None:
@@ -416,7 +444,7 @@ def test_a_fit_shows_itself(network: Path) -> None:
     assert set(fit.preview()) == {"reference", "fit"}
     reference = composite_to_srgb(fit.preview()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
-    fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
+    fit.task, fit.record.warning = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html

@@ -18,12 +18,11 @@ from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
 from metapp.options import BadOption
 from metapp.registry import registry
+from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import find_inputs
-from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.reporter import Reporter, use_reporter
-from metapp.runs.run import Run
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
 from tests.anisotropic import measure_with_noise
@@ -227,8 +226,8 @@ class Heard(Reporter):
 def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, tuple[str, ...]]:
     """Recipe, protocol and the lines that are said of inputs that are paths, or of a data set."""
     with use_reporter(heard := Heard()):
-        run = Run.from_options(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
-    return run.options.recipe, run.app.observes, tuple(heard.lines)
+        choice = find_and_choose(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
+    return choice.options.recipe, choice.app.observes, tuple(heard.lines)
 
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
@@ -262,15 +261,15 @@ def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatc
             return real(path)
 
         monkeypatch.setattr(os, name, count)
-    run = Run.from_options(fit_options(app, "general", [inputs / folder], quiet=True))
-    assert find_inputs(run)[0]
+    choice = find_and_choose(fit_options(app, "general", [inputs / folder], quiet=True))
+    assert find_inputs(choice)[0]
     assert listed.count(str(inputs / folder)) == 1
 
 
 def test_files_that_come_later_are_found_by_the_next_command(tmp_path: Path) -> None:
     for seed in (1, 2):
         picture(tmp_path / f"{seed}.png", seed)
-        assert len(Run.from_options(fit_options("texture", "general", [tmp_path])).sources) == seed
+        assert len(find_and_choose(fit_options("texture", "general", [tmp_path])).sources) == seed
 
 
 def tasks_of(app: str, *objects: Any) -> list[Task]:

@@ -1,7 +1,6 @@
 """The embedded sets in the cache: test tasks alone, the whole set, their labels, and several programs at once."""
 
 import functools
-import json
 import time
 from collections.abc import Callable, Iterator
 from os import getpid
@@ -16,6 +15,7 @@ from data_tools.synthetic import brdf, illumination, texture
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline_fits import find_training_folder
 from metapp.learning.task import Task
+from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.embedded import (
     embedded_folders,
@@ -26,7 +26,7 @@ from metapp.runs.inputs.embedded import (
 )
 from metapp.runs.inputs.run_inputs import data_label, read_test_tasks
 from metapp.runs.outputs.run_records import find_fitted_tasks
-from metapp.runs.run import Run
+from metapp.storage.fit_records import decode_record
 from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks
 from tests.recipe_apps import app_by_recipe, application
@@ -108,7 +108,7 @@ def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
 @pytest.mark.usefixtures("splits")
 def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
     def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
-        records = [json.loads(Path(task["folder"], "record.json").read_text()) for task in document["tasks"]]
+        records = [decode_record(Path(task["folder"], "record.json").read_bytes()) for task in document["tasks"]]
         return find_fitted_tasks(records, [], None)
 
     words = ("general", "brdf", "-q", "--json", "--out")
@@ -132,14 +132,14 @@ def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None
 
 
 def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
-    plan = Run.from_options(fit_options("brdf", "general", quiet=True))
+    plan = find_and_choose(fit_options("brdf", "general", quiet=True))
     learning, other = (
         next(baseline for baseline in baselines_of(plan.application, plan.app) if bool(baseline.learns) is kind)
         for kind in (True, False)
     )
     assert find_training_folder(plan, learning) is None
     assert find_training_folder(plan, other, make=True) is None
-    of_file = Run.from_options(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
+    of_file = find_and_choose(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
     assert find_training_folder(of_file, learning, make=True) is None  # as a file is fitted
     assert splits == []
     assert (

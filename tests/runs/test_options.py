@@ -16,12 +16,13 @@ from metapp.cli.command_tree import app as cli
 from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import find_and_choose, has_shipped_recipe
 from metapp.runs.fit_options import FitOptions, fit_options, folder_name_parts
+from metapp.runs.fitter import Fitter
 from metapp.runs.inputs.run_inputs import find_inputs
-from metapp.runs.recipe_choice import has_shipped_recipe
-from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
+from metapp.storage.fit_records import Origin
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.recipe_apps import app_by_recipe, app_names, observations_of, presenter_of, recipes_of
 
@@ -31,8 +32,8 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert has_shipped_recipe(registry().applications[name], "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
-        assert Run.from_options(fit_options(name, **more)).options.recipe == "full", more
-    assert Run.from_options(fit_options(name, recipe="quick")).options.recipe == "quick"
+        assert find_and_choose(fit_options(name, **more)).options.recipe == "full", more
+    assert find_and_choose(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
 OWN = {"conserve", "observe", "export", "size", "render", "fov", "stops", "shutter", "pitch", "scene-root", "layer"}
@@ -97,7 +98,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
 @pytest.mark.parametrize(("app", "options", "line"), REFUSED)
 def test_options_that_fits_cannot_have_are_refused(app: str, options: dict[str, Any], line: str) -> None:
     with pytest.raises(BadOption, match=line):
-        Run.from_options(fit_options(app, inputs=["gold.binary"], **options))
+        find_and_choose(fit_options(app, inputs=["gold.binary"], **options))
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -116,15 +117,15 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
     first.write_text("")
     link.symlink_to(first)
-    planned = Run.from_options(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
+    planned = find_and_choose(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
     (run_input,) = find_inputs(planned)[0]
-    assert planned.input_places(run_input.given_paths) == {"inputs": [str(link)]}
+    assert planned.origin(run_input.given_paths) == Origin([str(link)])
     assert run_input.place == str(first)
 
 
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
     for app, side, limit in (("illumination", 128, 128), ("svbrdf_stationary", 256, LARGEST_PHOTO_PX)):
-        planned = Run.from_options(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
+        planned = find_and_choose(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
         (run_input,) = find_inputs(planned)[0]
         assert planned.app.read_size in (0, limit)
         assert side in run_input.read_task().data["map" if app == "illumination" else "image"].shape
@@ -143,11 +144,12 @@ NO_FIGURE = {
 
 
 def test_records_state_all_options_that_figures_depend_on() -> None:
-    run = attach_checkpoint(Run.from_options(fit_options("illumination", recipe="quick", observe="photo")))
+    choice = find_and_choose(fit_options("illumination", recipe="quick", observe="photo"))
     names = {"app_options": "options", "application": "app"}  # of fields in settings, where these differ
     named = {names.get(field.name, field.name) for field in fields(FitOptions)} - NO_FIGURE
-    run = replace(run, options=replace(run.options, app_options=replace(run.options.app_options, fov=60.0)))
-    assert named <= run.settings("none").keys()
+    app_options = replace(choice.options.app_options, fov=60.0)
+    choice = replace(choice, options=replace(choice.options, app_options=app_options))
+    assert named <= Fitter.of(choice).settings("none").document().keys()
 
 
 def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +162,7 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
         with pytest.raises(
             ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
         ):
-            Run.from_options(options)
+            find_and_choose(options)
 
 
 # What was learned at the quick size fits at the full one
@@ -169,10 +171,10 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 @pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    planned = Run.from_options(fit_options(name, observe=observe, recipe="full", out=tmp_path))
+    planned = find_and_choose(fit_options(name, observe=observe, recipe="full", out=tmp_path))
     assert planned.app == planned.recipe.app
     assert planned.app.observes == planned.recipe.observes == observe
-    prepared = attach_checkpoint(planned).phi
+    prepared = load_phi(planned).phi
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
@@ -187,13 +189,13 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
     options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        attach_checkpoint(Run.from_options(options))
+        load_phi(find_and_choose(options))
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
-        attach_checkpoint(Run.from_options(fit_options("texture", rule="meta-basis", out=tmp_path)))
+        load_phi(find_and_choose(fit_options("texture", rule="meta-basis", out=tmp_path)))
 
 
 @pytest.mark.parametrize(

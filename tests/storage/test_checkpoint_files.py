@@ -14,7 +14,7 @@ from metapp.storage.checkpoint_files import (
     save_checkpoint,
     tensor_digest,
 )
-from metapp.storage.files import content_digest
+from metapp.storage.files import content_digest, file_digest
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -85,6 +85,6 @@ def test_digests_change_with_content_and_not_with_key_order(tmp_path: Path) -> N
     assert content_digest({"a": 1}) != content_digest({"a": 2})
     assert len(content_digest({})) == 12
     (tmp_path / "x").write_bytes(b"1")
-    before = content_digest(tmp_path / "x")
+    before = file_digest(tmp_path / "x")
     (tmp_path / "x").write_bytes(b"2")
-    assert content_digest(tmp_path / "x") != before
+    assert file_digest(tmp_path / "x") != before

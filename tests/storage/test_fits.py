@@ -14,14 +14,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from safetensors.torch import load_file
 
 from metapp.storage.files import file_name, printable_name, read_text, remove_partial, to_json_value, write_atomically
+from metapp.storage.fit_records import FitRecord, Origin, Settings
 from metapp.storage.fit_store import (
-    NUMBER_ENTRIES,
     PARAMS,
     RECORD,
-    RunFolder,
+    FitStore,
     name_with_digest,
     read_fit_records,
     read_params,
@@ -168,22 +169,21 @@ def test_other_names_are_other_files_and_good_names_stay() -> None:
 THETA = {"w": torch.arange(3.0)}
 
 
-def record(name: str, source: str = "", **more: Any) -> dict[str, Any]:
-    return {"name": name, "source": source or f"/in/{name}.csv", "error": 0.5, "seconds": 0.1, **more}
+def record(name: str, source: str = "", error: float = 0.5, **more: Any) -> FitRecord:
+    return FitRecord(name=name, source=source or f"/in/{name}.csv", error=error, seconds=0.1, **more)
 
 
 def names(run: Path) -> list[str]:
-    return [record["name"] for record in read_fit_records(run)]
+    return [record.name for record in read_fit_records(run)]
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
-    fits = RunFolder(tmp_path / "run", {"steps": 10}, NUMBER_ENTRIES)
+    fits = FitStore(tmp_path / "run", Settings(steps=10), timed=True)
     assert fits.records() == {}
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
     kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
     folder = tmp_path / "run" / file_name("red felt/2")
-    run_settings = {"settings": {"steps": 10}, "folder": str(folder)}
-    assert kept == record("red felt/2", note="größe\u2028\nx") | run_settings
+    assert kept == record("red felt/2", note="größe\u2028\nx", settings=Settings(steps=10), folder=str(folder))
     assert read_fit_records(tmp_path / "run") == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]
     assert torch.equal(load_file(folder / PARAMS)["w"], torch.ones(3, 2))
@@ -204,28 +204,38 @@ def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> N
     write_fit(tmp_path, record("gold", error=7.0), THETA)
     with pytest.raises(OSError, match="No space left"):
         write_fit(tmp_path, record("gold"), THETA, draw)
-    assert [record["error"] for record in read_fit_records(tmp_path)] == [7.0]
+    assert [record.error for record in read_fit_records(tmp_path)] == [7.0]
 
 
 def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
-    nan = {"ssim": float("nan"), "curve": [(1, float("inf"))]}  # JSON has no such numbers
+    # JSON has no such numbers
+    nan: dict[str, Any] = {"errors": {"ssim": float("nan")}, "figures": {"curve": [(1, float("inf"))]}}
     for source, error in (("/a/wall.jpg", 1.0), ("/b/wall.jpg", 2.0), ("/a/wall.jpg", 3.0), ("/b/wall.jpg", 4.0)):
         write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})
     marked = name_with_digest("wall", "/b/wall.jpg")
-    assert {record["name"]: record["error"] for record in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
+    assert {record.name: record.error for record in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
     assert {folder.name for folder in tmp_path.iterdir()} == {"wall", marked}
     assert read_params(tmp_path / marked)["w"] == 4.0
-    found = RunFolder(tmp_path, {}).earlier_record("wall", "/b/wall.jpg")
+    fits = FitStore(tmp_path, Settings())
+    found = fits.find("wall", "/b/wall.jpg", "")
     assert found is not None
-    assert (found["name"], found["ssim"], found["curve"]) == (marked, None, [[1, None]])
-    assert RunFolder(tmp_path, {}).earlier_record("wall", "/c/wall.jpg") is None
+    assert (found.name, found.errors, found.figures) == (marked, {"ssim": None}, {"curve": [[1, None]]})
+    assert fits.holds("wall", "/b/wall.jpg")
+    assert not fits.holds("wall", "/c/wall.jpg")
+    assert fits.find("wall", "/c/wall.jpg", "") is None
 
 
 def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None:
-    ten, twenty = (RunFolder(tmp_path, {"steps": steps, "fits": ("a", "b")}) for steps in (10, 20))
+    ten, twenty = (FitStore(tmp_path, Settings(steps=steps, further={"fits": ("a", "b")})) for steps in (10, 20))
     for name in ("gold", "tin"):
-        ten.write(record(name, name), THETA)
+        ten.write(record(name, name, content="1a2b"), THETA)
     assert list(ten.records()) == ["gold", "tin"]
+    found = ten.find("gold", "gold", "1a2b")
+    assert found is not None
+    assert found.folder == str(tmp_path / "gold")
+    assert twenty.holds("gold", "gold")
+    assert twenty.find("gold", "gold", "1a2b") is None  # of other settings
+    assert ten.find("gold", "gold", "3c4d") is None  # of an input of other content
     twenty.write(record("tin", "tin"), THETA)
     twenty.write(record("zinc", "zinc", batch=4), THETA)  # its seconds are a share
     assert list(ten.records()) == ["gold"]
@@ -236,8 +246,8 @@ def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None
 @pytest.mark.parametrize("name", ODD)
 def test_a_name_of_any_kind_has_a_folder(tmp_path: Path, name: str) -> None:
     kept = write_fit(tmp_path, record(name, name), THETA)
-    assert kept["name"] == to_json_value(name)
-    assert torch.equal(read_params(kept["folder"])["w"], THETA["w"])
+    assert kept.name == to_json_value(name)
+    assert torch.equal(read_params(kept.folder)["w"], THETA["w"])
     assert write_fit(tmp_path, record(name, name), THETA) == kept
     assert names(tmp_path) == [to_json_value(name)]
 
@@ -246,7 +256,7 @@ def test_names_in_records_cannot_reverse_text(tmp_path: Path) -> None:
     given = ["a\u202egnp.b", "z\u200bw", "\u0639\u0631\u0628\u064a", "e\u0301tude"]
     for i, name in enumerate(given):
         (tmp_path / f"{i}").mkdir()
-        (tmp_path / f"{i}" / RECORD).write_text(json.dumps({"name": name}))
+        (tmp_path / f"{i}" / RECORD).write_text(json.dumps({"name": name, "error": None}))
     assert names(tmp_path) == ["a_gnp.b", "z_w", *given[2:]]
 
 
@@ -257,7 +267,8 @@ def test_one_warning_names_the_first_record_that_is_none(tmp_path: Path) -> None
         (tmp_path / name / RECORD).write_text("{")
     (tmp_path / "empty").mkdir()  # none, and no reason to say so
     (tmp_path / "pictures.png").touch()
-    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; .* 1 more in") as caught:
+    line = rf"gold/{RECORD}: no record, expected one of a task \(.+\); .* 1 more in"
+    with pytest.warns(UserWarning, match=line) as caught:
         assert names(tmp_path) == ["tin"]
     assert len(caught) == 1
 
@@ -268,6 +279,78 @@ def test_a_fit_that_is_being_written_is_not_read(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert names(tmp_path) == []
+
+
+def stored_record(run: Path, entries: dict[str, Any]) -> FitRecord:
+    """Read the record of a folder whose file has these entries."""
+    (run / "gold").mkdir(parents=True)
+    (run / "gold" / RECORD).write_text(json.dumps(entries))
+    (found,) = read_fit_records(run)
+    return found
+
+
+EARLIER = {  # each entry beside the others, as earlier versions wrote them
+    "name": "gold",
+    "source": "/in/gold.csv",
+    "error": 1.5,
+    "seconds": 0.25,
+    "cpu_seconds": 0.5,
+    "threads": 1,
+    "map": 0.2,
+    "albedo": [0.5, 0.75],
+    "mean_tilt_degrees": 3.0,
+    "guarded": False,
+    "content": "1a2b",
+    "origin": {"inputs": ["/in/gold.csv"], "data": ""},
+    "settings": {"app": "brdf", "steps": 10, "adam": None, "precision": "VGG in bfloat16"},
+}
+
+
+def test_records_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    """Their errors, figures and further settings stand beside the other entries; so do settings in new records."""
+    found = stored_record(tmp_path / "earlier", EARLIER)
+    expected = FitRecord(
+        name="gold",
+        error=1.5,
+        errors={"map": 0.2},
+        seconds=0.25,
+        cpu_seconds=0.5,
+        threads=1,
+        guarded=False,
+        figures={"albedo": [0.5, 0.75], "mean_tilt_degrees": 3.0},
+        source="/in/gold.csv",
+        content="1a2b",
+        origin=Origin(["/in/gold.csv"]),
+        settings=Settings(app="brdf", steps=10, further={"precision": "VGG in bfloat16"}),
+        folder=str(tmp_path / "earlier" / "gold"),
+    )
+    assert found == expected
+    settings = Settings.of(EARLIER["settings"])
+    assert (
+        FitStore(tmp_path / "earlier", settings, ["albedo"], timed=True).find("gold", "/in/gold.csv", "1a2b") == found
+    )
+    kept = write_fit(tmp_path / "new", found)
+    written = json.loads((tmp_path / "new" / "gold" / RECORD).read_text())
+    assert (written["scale"], written["errors"]) == (1.0, {"map": 0.2})
+    assert written["figures"] == {"albedo": [0.5, 0.75], "mean_tilt_degrees": 3.0}
+    assert written["settings"] == {"app": "brdf", "steps": 10, "precision": "VGG in bfloat16"}
+    assert not {"map", "albedo", "folder"} & written.keys()
+    assert read_fit_records(tmp_path / "new") == [kept] == [replace(found, folder=kept.folder)]
+
+
+@pytest.mark.parametrize("entries", [EARLIER, {"name": "gold", "error": None, "scale": 1.0}])
+def test_records_without_wanted_figures_or_seconds_are_none(tmp_path: Path, entries: dict[str, Any]) -> None:
+    found = stored_record(tmp_path, entries)
+    assert found.name == "gold"
+    with pytest.warns(UserWarning, match=r"expected one of a task \(without curves\); passed over"):
+        assert read_fit_records(tmp_path, figures=["curves"]) == []
+    with pytest.warns(UserWarning, match=r"expected one of a task \(without curves\); passed over"):
+        assert FitStore(tmp_path, found.settings, ["curves"]).records() == {}
+    if found.seconds is None:
+        with pytest.warns(UserWarning, match=r"expected one of a task \(without seconds\); passed over"):
+            assert read_fit_records(tmp_path, timed=True) == []
+    else:
+        assert read_fit_records(tmp_path, timed=True) == [found]
 
 
 def at_once(writer: Callable[[Path, int], None], run: Path, count: int = 10) -> None:
@@ -288,16 +371,16 @@ def write_four(run: Path, number: int) -> None:
 
 def write_the_same(run: Path, number: int) -> None:
     for name in "abcd":
-        write_fit(run, record(name, by=number), {"w": torch.full((1000,), float(number))})
+        write_fit(run, record(name, figures={"by": number}), {"w": torch.full((1000,), float(number))})
 
 
 def test_ten_programs_write_at_once_and_lose_nothing(tmp_path: Path) -> None:
     at_once(write_four, tmp_path)
-    records = read_fit_records(tmp_path, NUMBER_ENTRIES)
-    assert {record["source"] for record in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
-    assert len({record["name"] for record in records}) == len(records) == 40
+    records = read_fit_records(tmp_path, timed=True)
+    assert {record.source for record in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
+    assert len({record.name for record in records}) == len(records) == 40
     for record in records:
-        assert torch.equal(read_params(record["folder"])["w"], THETA["w"])
+        assert torch.equal(read_params(record.folder)["w"], THETA["w"])
 
 
 def test_ten_programs_write_the_same_inputs_at_once(tmp_path: Path) -> None:

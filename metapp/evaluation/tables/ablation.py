@@ -112,7 +112,7 @@ def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str,
         paradigm = paradigm_class.of(choice.app, choice.recipe, rule, choice.paradigm.steps)
         checkpoint = Checkpoint(phi, "combined", "+".join(fitter.checkpoint.digest for fitter in fitters))
         settings = {"rule": rule, "adam": asdict(adam) if adam and paradigm_class is InitialisationAlone else None}
-        combined = Fitter(replace(choice, paradigm=paradigm), checkpoint)
+        combined = Fitter(replace(choice, paradigm=paradigm), checkpoint, evaluation.label)
         return evaluation.fit_records(
             f"ablation {initialisation} + {rule_name}", combined, evaluation.tasks_of(name), settings
         )

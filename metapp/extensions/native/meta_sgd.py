@@ -78,7 +78,7 @@ def descend_in_c(
 ) -> Iterator[DescentState] | None:
     """Descend the outer loss in C, if the paradigm is Meta-SGD of an NBRDF network.
 
-    See :class:`metapp.contracts.DescendOuterLoss` for the arguments.
+    See :class:`metapp.registry.DescendOuterLoss` for the arguments.
 
     Returns:
         The states of the descent; None if the loop in C computes another loss, or if there is no compiler.

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from metapp.registry import registry
+from metapp.runs.fit_options import application_named
 from metapp.storage.shards import list_data_set_problems, read_manifest
 
 
@@ -44,5 +44,5 @@ def check_data_set(folder: Path) -> CheckedData:
         counts={split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")},
         bytes=sum(file.stat().st_size for file in files if file.is_file()),
         units=manifest.units,
-        problems=list_data_set_problems(folder, registry().application(manifest.app).app.load().tensors),
+        problems=list_data_set_problems(folder, application_named(manifest.app).app.load().tensors),
     )

@@ -31,8 +31,8 @@ from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.networks.field import LocalField
 from metapp.paradigms.adam import General
+from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import fit_options
-from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import tensor_digest
 from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
 from tests.recipe_apps import recipes_of
@@ -68,7 +68,7 @@ def test_pretrained_is_the_default_of_fits_from_general_where_weights_are(
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
 
     def chosen(paradigm: str, **options: object) -> str:
-        return Run.from_options(
+        return find_and_choose(
             fit_options(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)
         ).options.recipe
 

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -16,9 +17,10 @@ from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.environment import find_device
 from metapp.runs.reporter import Bar, Reporter, use_reporter
-from metapp.storage.fit_store import Record, RunFolder
+from metapp.storage.fit_records import FitRecord, Settings
+from metapp.storage.fit_store import FitStore
 from tests.evaluation.cli.evaluation_runs import evaluation_run_of
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, application
 
 
 @pytest.fixture
@@ -31,13 +33,13 @@ def empty(data: Path, tmp_path: Path) -> EvaluationRun:
 def measure(empty: EvaluationRun, tmp_path: Path) -> Callable:
     """Records of the materials under a title; `during` is called for each."""
 
-    def measured(title: str, during: Callable[[str], object] = len, steps: int = 0, **more: bool) -> list[Record]:
-        def of_tasks(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
+    def measured(title: str, during: Callable[[str], object] = len, steps: int = 0, **more: bool) -> list[FitRecord]:
+        def of_tasks(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
             for task in tasks:
                 during(task.name)
-                yield {"name": task.name, "error": 1.0}, None
+                yield FitRecord(name=task.name, error=1.0), None
 
-        fits = RunFolder(tmp_path / title, {"title": title}, ("error",))
+        fits = FitStore(tmp_path / title, Settings.of({"title": title}))
         return empty.measure_records(title, fits, of_tasks, empty.tasks, steps, **more)
 
     return measured
@@ -45,12 +47,12 @@ def measure(empty: EvaluationRun, tmp_path: Path) -> Callable:
 
 def test_missing_records_are_measured_once(measure: Callable, empty: EvaluationRun, tmp_path: Path) -> None:
     log: list[str] = []
-    RunFolder(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
+    FitStore(tmp_path / "some", Settings.of({"title": "some"})).write(FitRecord(name="m1", error=0.5))
     for _ in range(2):
         records = measure("some", log.append)
-        assert [(record["name"], record["error"]) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
+        assert [(record.name, record.error) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
         assert log == ["m0", "m2"]
-    assert all("content" in records[i] for i in (0, 2))
+    assert all(records[i].content for i in (0, 2))
     empty.is_measuring = False
     assert measure("others", log.append) == []
     assert {title: len(records) for title, (_, records) in empty.requested.items()} == {"some": 3, "others": 0}
@@ -75,7 +77,7 @@ def test_fits_of_few_steps_come_first(empty: EvaluationRun) -> None:
     rows = result_rows(empty, ("overfit", "finetune", "general", "quickft"))
     assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general", "quickft"]
     assert list(empty.requested) == ["general", "finetune", "quickft", "overfit"]
-    assert [record["name"] for record in empty.existing_records("general")] == ["m0", "m1", "m2"]
+    assert [record.name for record in empty.existing_records("general")] == ["m0", "m1", "m2"]
 
 
 class Heard(Reporter, Bar):
@@ -96,7 +98,7 @@ class Heard(Reporter, Bar):
 
 
 def test_the_progress_counts_gradient_steps(measure: Callable, empty: EvaluationRun) -> None:
-    empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
+    empty.choice = replace(empty.choice, options=replace(empty.choice.options, quiet=False))
     with use_reporter(heard := Heard()):
         measure("long", steps=99)
     assert heard.shown == [
@@ -111,7 +113,7 @@ def test_rows_are_printed_as_soon_as_they_are_measured(measure: Callable, empty:
     with use_reporter(heard := Heard()):
         measure("quiet")
         assert heard.lines == []
-        empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
+        empty.choice = replace(empty.choice, options=replace(empty.choice.options, quiet=False))
         for _ in range(2):  # the second time it is there
             measure("some")
     assert heard.lines == ["brdf some: mean error 1.000, 3 tasks"]
@@ -137,7 +139,8 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Ev
 
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
-    monkeypatch.setattr("metapp.cli.evaluation_output.app_names", lambda: ["texture", "transport"])
+    two = {name: application(name) for name in ("texture", "transport")}
+    monkeypatch.setattr("metapp.cli.evaluation_output.registry", lambda: SimpleNamespace(applications=two))
     monkeypatch.setattr("metapp.evaluation.evaluation_run.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
     with use_reporter(heard := Heard()):
         assert [one.app.name for one in evaluation_runs_of(EvaluateOptions(out=tmp_path), [])] == ["transport"]

@@ -12,7 +12,6 @@ from metapp.cli.evaluation_output import MAX_NOTE_LINES, make_rich_table
 from metapp.evaluation.evaluation_run import LONG_FIT_TASKS, EvaluationRun
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
-from metapp.runs.fitting import fit_side_by_side
 from tests.evaluation.cli.evaluation_runs import table_rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
@@ -50,7 +49,7 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, evaluated_
 
 def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(evaluation_run: EvaluationRun) -> None:
     found = {row["paradigm"]: row for row in table_rows(evaluation_run, "results")}
-    ours, theirs = ([record["error"] for record in evaluation_run.records(name)] for name in ("meta", "quickft"))
+    ours, theirs = ([record.error for record in evaluation_run.records(name)] for name in ("meta", "quickft"))
     pair = found["meta"]["vs_quickft"]
     assert pair
     assert pair.low <= pair.value <= pair.high
@@ -67,7 +66,7 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(evaluation
 def test_fits_that_carry_a_warning_are_counted(evaluation_run: EvaluationRun) -> None:
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
     for i, record in enumerate(evaluation_run.records("meta")):
-        record |= {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
+        record.threads, record.warning = 1, warnings.get(i, record.warning)
     for name in ("results", "quickft", "ablation"):
         found = table_rows(evaluation_run, name)
         for kind in ("warnings", "doubtful"):
@@ -85,13 +84,13 @@ def test_fits_that_carry_a_warning_are_counted(evaluation_run: EvaluationRun) ->
 def test_rows_whose_fits_got_little_cpu_are_named(
     cpu_seconds: float | None, said: str, evaluation_run: EvaluationRun
 ) -> None:
-    for name in evaluation_run.runs:
+    for name in evaluation_run.choices:
         for record in evaluation_run.records(name):
-            record |= {"seconds": 2.0, "cpu_seconds": 2.0}  # whatever this machine does beside the tests
+            record.seconds = record.cpu_seconds = 2.0  # whatever this machine does beside the tests
             if name == "meta" and cpu_seconds is None:
-                del record["cpu_seconds"]
+                record.cpu_seconds = None
             elif name == "meta":
-                record["cpu_seconds"] = 2 * cpu_seconds
+                record.cpu_seconds = 2 * cpu_seconds
     for name in ("results", "quickft"):
         notes = [note for note in evaluation_run.table(name).notes if note.startswith("seconds are too long")]
         assert [note.rpartition(": ")[2] for note in notes] == [said] * bool(said)
@@ -108,9 +107,11 @@ def test_fits_record_the_cpu_seconds_that_they_got(
             pass
         return stack_tasks(*arguments)
 
-    monkeypatch.setattr("metapp.runs.fitting.stack_tasks", stack)
-    (fit,) = fit_side_by_side(evaluation_run.runs["general"], evaluation_run.tasks[:1])
-    seconds, cpu_seconds = fit.record["seconds"], fit.record["cpu_seconds"]
+    monkeypatch.setattr("metapp.runs.fitter.stack_tasks", stack)
+    (fit,) = evaluation_run.fitters["general"].fit_side_by_side(evaluation_run.tasks[:1])
+    seconds, cpu_seconds = fit.record.seconds, fit.record.cpu_seconds
+    assert seconds is not None
+    assert cpu_seconds is not None
     assert seconds > 0.5
     assert cpu_seconds >= own_seconds
     assert seconds - cpu_seconds >= 0.9 * other_seconds
@@ -173,7 +174,7 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
 
 
 def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: EvaluationRun) -> None:
-    short_evaluation = EvaluationRun(evaluation_run.run, is_measuring=True, whole=False, long_fit_tasks=2)
+    short_evaluation = EvaluationRun(evaluation_run.choice, is_measuring=True, whole=False, long_fit_tasks=2)
     whole, few = (
         {row["paradigm"]: row for row in table_rows(one, "results")} for one in (evaluation_run, short_evaluation)
     )
@@ -182,7 +183,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: Eva
     assert few["meta"]["error"] == whole["meta"]["error"]
     names = [task.name for task in short_evaluation.tasks_of("overfit")]
     for name, row in few.items():
-        errors = {record["name"]: record["error"] for record in evaluation_run.records(name)}
+        errors = {record.name: record.error for record in evaluation_run.records(name)}
         assert row["shared_error"] == pytest.approx(sum(errors[task] for task in names) / 2)
         assert whole[name]["shared_error"] == pytest.approx(whole[name]["error"])
     # the gap closed is of the tasks that all three have

@@ -17,9 +17,10 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> No
     assert result.code == 0, result.err
     out = Path(result.json_document["out"])
     (record,) = read_fit_records(out)
-    assert record["name"] == "wall"
-    assert record["error"] == result.json_document["tasks"][0]["error"] > 0
-    assert record["seconds"] > 0
+    assert record.name == "wall"
+    assert record.error == result.json_document["tasks"][0]["error"] > 0
+    assert record.seconds is not None
+    assert record.seconds > 0
     spec = oiio.ImageBuf(str(out / "wall" / "texture.png")).spec()
     assert (spec.width, spec.height) == (64, 64)
     assert "cannot" in result.err

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from metapp.runs.run import Run
+from msgspec import structs
 from rich.console import Console
 from torch import Generator, Tensor
 
@@ -22,9 +22,11 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
+from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.reporter import Reporter, use_reporter
-from metapp.storage.fit_store import RunFolder, read_params
+from metapp.storage.fit_records import FitRecord, Settings
+from metapp.storage.fit_store import FitStore, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long
 from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, presenter_of
@@ -78,7 +80,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 def subject_of(data: Callable[[str], Path], tmp_path: Path, second_scene: Path) -> Callable[[str, str], EvaluationRun]:
     def make(name: str, protocol: str) -> EvaluationRun:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
-        planned = Run.from_options(fit_options(name, "general", **of_app, device="cpu", quiet=True))
+        planned = find_and_choose(fit_options(name, "general", **of_app, device="cpu", quiet=True))
         subject = EvaluationRun(planned, is_measuring=False)  # paradigms may lack what their checkpoints need
         subject.is_measuring = True
         return subject
@@ -110,8 +112,8 @@ def test_predictions_of_baselines_are_drawn_where_applications_have_pictures(
 
 def pretend_paradigms(subject: EvaluationRun, error: float = 1.0) -> None:
     """Records of Meta that cost nothing, and none of other paradigms."""
-    records = [{"name": task.name, "error": error, "seconds": 1.0, "threads": 1} for task in subject.tasks]
-    for name in subject.runs:
+    records = [FitRecord(name=task.name, error=error, seconds=1.0, threads=1) for task in subject.tasks]
+    for name in subject.choices:
         subject.requested[name] = subject.tasks, records if name == "meta" else []
 
 
@@ -156,17 +158,17 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
 ) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    fits = RunFolder(subject.run.options.out / "meta", {"of": "meta"})
+    fits = FitStore(subject.choice.options.out / "meta", Settings.of({"of": "meta"}))
     pretend_paradigms(subject)
-    records = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
+    records = [fits.write(FitRecord(name=task.name, error=1.0), theta) for task in subject.tasks]
     subject.requested["meta"] = subject.tasks, records
     assert subject.draw_fits("baselines", {}) is None
     table = subject.table("baselines")
     assert list(table.fits) == ["meta", "nearest", "quilting", "blending"]
     drawn = subject.draw_fits("baselines", table.fits)
-    assert drawn == subject.run.options.out / "texture" / f"baselines-{subject.label}-quick.png"
+    assert drawn == subject.choice.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     assert drawn.read_bytes().startswith(b"\x89PNG")
-    kept = subject.run.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
+    kept = subject.choice.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
     assert read_params(kept)["picture"].shape == (64, 64, 3)
 
 
@@ -181,9 +183,10 @@ def test_notes_name_the_method_with_the_lower_error(
     pretend_paradigms(subject)
     meta, other = [], []
     for i, task in enumerate(subject.tasks):
-        meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
+        meta.append(FitRecord(name=task.name, error=1.0 + i, seconds=1.0, folder=str(tmp_path)))
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
-        other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "kept_bytes": 4, "shared": 8})
+        figures = {"numbers": 1, "kept_bytes": 4, "shared": 8}
+        other.append(structs.replace(meta[-1], error=error, seconds=0.5, figures=figures))
     subject.requested |= {
         "meta": (subject.tasks, meta),
         baselines_of(application(subject.app.name), subject.app)[0].name: (subject.tasks, other),
@@ -200,8 +203,8 @@ def test_measures_that_are_not_finite_have_no_figure(
     measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
     records = baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0])
-    assert {record["error"] for record in records} == {2.0 * subject.app.error_measure.scale}
-    assert not any("map" in record for record in records)
+    assert {record.error for record in records} == {2.0 * subject.app.error_measure.scale}
+    assert not any("map" in record.errors for record in records)
 
 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], EvaluationRun]) -> None:
@@ -237,11 +240,11 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject_of: Callable[[str, str], EvaluationRun], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
-    manifest = subject.run.options.data / "manifest.json"  # type: ignore[operator]
+    manifest = subject.choice.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     pretend_paradigms(subject)
     notes = subject.table("baselines").notes
-    assert subject.requested.keys() - subject.runs.keys() == {"ggx_2"}  # nothing is missing
+    assert subject.requested.keys() - subject.choices.keys() == {"ggx_2"}  # nothing is missing
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 

@@ -22,7 +22,7 @@ def test_runs_are_compared_with_the_first(metapp: Callable, fit_networks: Callab
     assert [run["label"] for run in result["runs"]] == ["meta", "quickft", "general"]
     base, *others = result["runs"]
     for side, run in enumerate(runs):
-        errors = [record["error"] for record in read_fit_records(run)]
+        errors = [record.error for record in read_fit_records(run)]
         assert [task["error"][side] for task in result["tasks"]] == errors
         assert result["runs"][side]["error"] == pytest.approx(np.mean(errors))
         assert [len(task["seconds"]) for task in result["tasks"]] == [3, 3, 3]
@@ -89,7 +89,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(
     run = fit_networks("general")
     alone = run / "m0"
     record = read_fit_records(run)[0]
-    record["settings"]["app"] = "texture"
+    record.settings.app = "texture"
     write_fit(Path("other"), record)
     for words, message in (
         ((run, "other"), "runs of brdf and texture, expected runs of one application; take another run."),

@@ -15,6 +15,7 @@ from metapp.appearance.pictures import PictureComparison
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
 from metapp.registry import registry
+from tests.recipe_apps import app_names
 
 PERCEPTUAL = (perceptual.lpips, perceptual.dists)
 needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
@@ -134,5 +135,7 @@ def test_sliced_wasserstein(rng: Generator) -> None:
 def test_registered_measures_name_existing_functions_and_applications() -> None:
     for name, entry in registry().measures.items():
         assert callable(entry.load().value), name
-        assert entry.help, name
-        assert " ".join(entry.help.split()) == entry.help
+        assert entry.note, name
+        assert " ".join(entry.note.split()) == entry.note
+        assert entry.apps, name
+        assert set(entry.apps) <= set(app_names()), name

@@ -50,7 +50,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     run = Path(fitted.json_document["out"])
     assert fitted.json_document["error"] < 0.5
     (record,) = read_fit_records(run)
-    assert 0 < record["expected"] < expected["before"]
+    assert 0 < record.errors["expected"] < expected["before"]
     more = tmp_path / "more.csv"  # its first rows are those that were measured
     then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").json_document
     assert then["expected_error"]["after"] < then["expected_error"]["before"]

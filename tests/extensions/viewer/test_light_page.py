@@ -14,15 +14,15 @@ from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import mean_luminance, resample_maps, sphere_normals, texel_directions
 from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.pictures import Picture
-from metapp.apps.illumination.app import LOSS_PHOTO_PX, Illumination
-from metapp.apps.illumination.presenter import FromBall, FromMap, IlluminationPresenter
+from metapp.apps.illumination.app import LOSS_PHOTO_PX, FromBall, FromMap, Illumination
+from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import SPHERE_NAMES, render_spheres
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import application, presenter_of
 
 ROWS = 64
 GAP = 6  # px between panes
@@ -99,7 +99,7 @@ def test_suns_beyond_half_floats_are_kept() -> None:
         def draw_map(self, theta: Params, task: Task) -> Picture:
             return Picture(pixels, "radiance")
 
-    view = make_view(Sunny(app), theta, Task("sun", {}))
+    view = make_view(Sunny(app, application("illumination")), theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)

@@ -216,9 +216,9 @@ def test_without_the_extension_fits_work_and_view_is_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    assert make_view(fit.run.presenter, fit.parameters, fit.task).kind == "brdf"
+    assert make_view(fit.choice.presenter, fit.parameters, fit.task).kind == "brdf"
     monkeypatch.setitem(vars(registry().applications["brdf"]), "page", None)
-    view = make_view(fit.run.presenter, fit.parameters, fit.task)
+    view = make_view(fit.choice.presenter, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 
