@@ -13,9 +13,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from typing_extensions import override
-
-from metapp.entries import Entries, Lazy
+from metapp.entries import Entries, Lazy, SetOnce
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -342,7 +340,7 @@ NO_PRESENTER: Lazy[type[Any]] = Lazy("metapp.appearance.presenter:Presenter")
 
 
 @dataclass(kw_only=True, eq=False)
-class Application:
+class Application(SetOnce):
     """All that metapp knows of an application. Extensions add entries to its tables, and set references that are None.
 
     Attributes:
@@ -403,12 +401,6 @@ class Application:
         self.merges = Entries(Lazy, f"merges of {self.name}")
         self.outputs = Entries(Lazy, f"outputs of {self.name}")
         self.networks = Entries(Lazy, f"networks of {self.name}")
-
-    @override
-    def __setattr__(self, name: str, value: object) -> None:
-        if vars(self).get(name) is not None:
-            raise ValueError(f"{name} of {self.name}: is set already")
-        super().__setattr__(name, value)
 
     def tables(self) -> Iterator[Entries[Any]]:
         """Yield the tables of the application."""

@@ -89,6 +89,23 @@ class Lazy(Generic[Contract]):
         return loaded
 
 
+class SetOnce:
+    """A base class of objects that extensions fill: only fields that a class states can be set, and each only once.
+
+    A subclass is a dataclass with an attribute `name`, with which errors begin; a field that is None is not set.
+    """
+
+    name: str
+
+    @override
+    def __setattr__(self, name: str, value: object) -> None:
+        if name not in self.__dataclass_fields__:  # type: ignore[attr-defined]
+            raise AttributeError(f"{name} of {self.name}: there is no such field")
+        if vars(self).get(name) is not None:
+            raise ValueError(f"{name} of {self.name}: is set already")
+        super().__setattr__(name, value)
+
+
 @contextlib.contextmanager
 def registering(package: str) -> Iterator[None]:
     """Take a package as the owner of all entries that are set in a `with` block."""

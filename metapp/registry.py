@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from metapp.application import Application, Format
-from metapp.entries import METAPP_PACKAGE, Entries, Lazy, describe_error, registering
+from metapp.entries import METAPP_PACKAGE, Entries, Lazy, SetOnce, describe_error, registering
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -128,7 +128,7 @@ class FitMethod(Protocol):
 
 
 class MakeSteps(Protocol):
-    """A function that makes the steps of a rule down a loss, faster than torch where it can; the hook "steps".
+    """A function that makes the steps of a rule down a loss, faster than torch where it can; the hook `steps`.
 
     >>> from metapp.learning.adjoint import torch_steps
     >>> def steps(rule, loss, theta, order, *, compiles=False):
@@ -149,7 +149,7 @@ class MakeSteps(Protocol):
 
 
 class DescendOuterLoss(Protocol):
-    """A function that takes the outer steps of a training faster than torch where it can; the hook "outer_loop".
+    """A function that takes the outer steps of a training faster than torch where it can; the hook `outer_loop`.
 
     >>> def descend_outer_loss(paradigm, outer_loop, params, tasks, rng, since=None):
     ...     return None
@@ -186,7 +186,7 @@ class DescendOuterLoss(Protocol):
 
 
 class CheckScene(Protocol):
-    """A function that checks the scene of a data set before Mitsuba loads it; the hook "scene".
+    """A function that checks the scene of a data set before Mitsuba loads it; the hook `scene`.
 
     >>> def check(scene):
     ...     if "xml" in scene:
@@ -242,6 +242,23 @@ class Plugin(Lazy[Callable[[], None]]):
     integrator: str = ""
 
 
+@dataclass(kw_only=True, eq=False)
+class Hooks(SetOnce):
+    """Functions that the core calls if an extension sets them.
+
+    Attributes:
+        steps: makes the steps of fits, faster than torch where it can.
+        outer_loop: takes the outer steps of a training, faster than torch where it can.
+        scene: checks the scenes of data sets.
+        name: the name of the object, with which errors begin.
+    """
+
+    steps: Lazy[MakeSteps] | None = None
+    outer_loop: Lazy[DescendOuterLoss] | None = None
+    scene: Lazy[CheckScene] | None = None
+    name: str = "hooks"
+
+
 @dataclass(frozen=True)
 class Registry:
     """Tables of entries by name.
@@ -259,8 +276,7 @@ class Registry:
         tables: tables of `metapp evaluate`.
         commands: commands by the words after `metapp`.
         methods: functions that become methods of fits in the Python API.
-        hooks: functions that the core calls if they are there: "steps" is a :class:`MakeSteps`, "outer_loop" a
-            :class:`DescendOuterLoss`, "scene" a :class:`CheckScene`.
+        hooks: functions that the core calls if an extension sets them.
         extensions: the package of each extension, by the extension's name.
         problems: why some extensions cannot be used, by "NAME of PACKAGE".
 
@@ -278,7 +294,7 @@ class Registry:
     tables: Entries[TableEntry] = field(default_factory=lambda: Entries(TableEntry, "tables"))
     commands: Entries[Command] = field(default_factory=lambda: Entries(Command, "commands"))
     methods: Entries[Lazy[FitMethod]] = field(default_factory=lambda: Entries(Lazy, "methods"))
-    hooks: Entries[Lazy[Any]] = field(default_factory=lambda: Entries(Lazy, "hooks"))
+    hooks: Hooks = field(default_factory=Hooks)
     extensions: dict[str, str] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
 
@@ -357,7 +373,7 @@ def _build_registry(without: str) -> Registry:
 
 def _copy_dictionaries(registry: Registry) -> list[tuple[dict[Any, Any], dict[Any, Any]]]:
     """Return all dictionaries that an extension may change, each with a copy of its content."""
-    dictionaries = [vars(application) for application in registry.applications.values()]
+    dictionaries = [vars(registry.hooks), *(vars(application) for application in registry.applications.values())]
     for table in registry.all_tables():
         dictionaries += [table.data, table.owners]
     return [(dictionary, dict(dictionary)) for dictionary in dictionaries]
@@ -374,8 +390,8 @@ def _check_entries_of(package: str, registry: Registry) -> None:
     references = [
         entry for table in registry.all_tables() for key, entry in table.items() if table.owners[key] == package
     ]
-    for application in registry.applications.values():
-        references += [value for value in vars(application).values() if isinstance(value, Lazy)]
+    for owner in (registry.hooks, *registry.applications.values()):
+        references += [value for value in vars(owner).values() if isinstance(value, Lazy)]
     for entry in references:
         for reference in _references_in(entry):
             if importlib.util.find_spec(reference.partition(":")[0]) is None:

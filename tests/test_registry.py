@@ -41,9 +41,8 @@ BROKEN = {
     'registry.tables["strange"] = TableEntry("math:lcm")': (
         "ValueError: tables strange: registered by stranger, but stranger has registered it already"
     ),
-    'registry.hooks["steps"] = Lazy("math:gcd")': (
-        "ValueError: hooks steps: registered by stranger, but metapp has registered it"
-    ),
+    'registry.hooks.steps = Lazy("math:gcd")': "ValueError: steps of hooks: is set already",
+    'registry.hooks.stepps = Lazy("math:gcd")': "AttributeError: stepps of hooks: there is no such field",
     'registry.parts["adam"] = Lazy("math:gcd")': (
         "ValueError: rules adam: registered by stranger, but metapp has registered it"
     ),
@@ -268,9 +267,13 @@ def test_functions_take_the_arguments_of_their_contracts(field: str) -> None:
 
 
 def test_hooks_take_the_arguments_of_their_contracts() -> None:
-    inspect.signature(registry().hooks["steps"].load()).bind("rule", "loss", "theta", 2, compiles=True)
-    inspect.signature(registry().hooks["outer_loop"].load()).bind("paradigm", "training", {}, "tasks", "rng", None)
-    inspect.signature(registry().hooks["scene"].load()).bind("scene")
+    hooks = registry().hooks
+    assert hooks.steps
+    assert hooks.outer_loop
+    assert hooks.scene
+    inspect.signature(hooks.steps.load()).bind("rule", "loss", "theta", 2, compiles=True)
+    inspect.signature(hooks.outer_loop.load()).bind("paradigm", "training", {}, "tasks", "rng", None)
+    inspect.signature(hooks.scene.load()).bind("scene")
 
 
 @pytest.mark.parametrize("app", registry().applications)

@@ -129,8 +129,8 @@ def mitsuba_bsdfs(registry: Registry) -> None:
 
 def native(registry: Registry) -> None:
     """Register steps of learning in C, and compiled by torch, and the outer loop of Meta-SGD in C."""
-    registry.hooks["steps"] = Lazy(f"{_HERE}.native.step_choice:choose_steps")
-    registry.hooks["outer_loop"] = Lazy(f"{_HERE}.native.meta_sgd:descend_in_c")
+    registry.hooks.steps = Lazy(f"{_HERE}.native.step_choice:choose_steps")
+    registry.hooks.outer_loop = Lazy(f"{_HERE}.native.meta_sgd:descend_in_c")
 
 
 def onnx_files(registry: Registry) -> None:
@@ -175,7 +175,7 @@ def scene_files(registry: Registry) -> None:
         f"{here}.scene_reader", "Mitsuba scenes (.xml, .json) with a perspective camera"
     )
     transport.read_object = Lazy(f"{here}.scene_reader:task_of_object")
-    registry.hooks["scene"] = Lazy(f"{here}.scene_reader:check_stored_scene")
+    registry.hooks.scene = Lazy(f"{here}.scene_reader:check_stored_scene")
 
 
 def shaders(registry: Registry) -> None:

@@ -187,7 +187,7 @@ def _descend_outer_loss(
 ) -> Iterator[DescentState]:
     """Descend the outer loss: by an extension if one can, many steps at a time, else by torch, one step at a time."""
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
-    if ranks.rank_count() == 1 and (entry := registry().hooks.get("outer_loop")):
+    if ranks.rank_count() == 1 and (entry := registry().hooks.outer_loop):
         descent: Iterator[DescentState] | None = entry.load()(
             training.paradigm, outer_loop, state.current, tasks, rng, since
         )
