@@ -23,7 +23,7 @@ import torch
 import metapp
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.inputs.embedded import make_embedded_set
+from metapp.runs.data_sets.embedded import make_embedded_set
 
 DRAWN_TASKS = 5  # tasks that are drawn for each application; the test task among them is fitted
 # share of an error by which devices may differ: noise that textures are made of depends on the device, not on the seed

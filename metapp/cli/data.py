@@ -19,7 +19,7 @@ from metapp.options import Converter
 from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
-    from metapp.runs.inputs.conversion import ConversionResult
+    from metapp.runs.data_sets.conversion import ConversionResult
 
 
 def make_convert_command(name: str, converter: type[Converter]) -> Callable[..., None]:
@@ -35,7 +35,7 @@ def make_convert_command(name: str, converter: type[Converter]) -> Callable[...,
         quiet: Quiet = False,
         as_json: JsonFlag = False,
     ) -> None:
-        from metapp.runs.inputs.conversion import convert_files
+        from metapp.runs.data_sets.conversion import convert_files
 
         result = convert_files(
             name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet
@@ -73,7 +73,7 @@ def join(
     Example:
       metapp data join drawn photographed --alike --out joint
     """
-    from metapp.runs.inputs.joining import join_data_sets
+    from metapp.runs.data_sets.joining import join_data_sets
 
     result = join_data_sets(folders, folder, alike=alike, overwrite=overwrite, quiet=quiet)
     print_written_tasks(result, quiet, as_json)
@@ -92,7 +92,7 @@ def check(
     Example:
       metapp data check merl
     """
-    from metapp.runs.inputs.checking import check_data_set
+    from metapp.runs.data_sets.checking import check_data_set
 
     try:
         report = check_data_set(folder)

@@ -16,8 +16,8 @@ from metapp.application import Application
 from metapp.cli.arguments import check_new_file
 from metapp.cli.synthesis_options import SHARDS_FORM, CornellOptions
 from metapp.learning.task import Task
-from metapp.runs.inputs.conversion import ConversionResult, conversion_result
-from metapp.runs.inputs.embedded import embedded_module, make_embedded_set, split_counts
+from metapp.runs.data_sets.conversion import ConversionResult, conversion_result
+from metapp.runs.data_sets.embedded import embedded_module, make_embedded_set, split_counts
 from metapp.runs.reporter import progress
 from metapp.storage.cache_folders import make_cache_folder
 from metapp.storage.shards import read_manifest, write_data_set
@@ -33,7 +33,7 @@ def draw_shards(
     overwrite: bool,
     quiet: bool,
 ) -> ConversionResult:
-    """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.inputs.embedded.make_embedded_set`.
+    """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.data_sets.embedded.make_embedded_set`.
 
     Args:
         application: the application.

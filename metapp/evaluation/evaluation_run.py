@@ -22,9 +22,9 @@ from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import Checkpoint, load_phi
 from metapp.runs.choice import Choice, find_and_choose
+from metapp.runs.data_sets.embedded import has_embedded_tests
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fitter import Fitter
-from metapp.runs.inputs.embedded import has_embedded_tests
 from metapp.runs.inputs.run_inputs import read_test_tasks, task_digest
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
 from metapp.runs.reporter import progress, say

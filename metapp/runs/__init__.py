@@ -3,6 +3,6 @@
 In order of reading: `fit_options` has all that a user may choose, `inputs` finds and reads what is fitted, `choice`
 chooses what options leave open, `checkpoint_selection` and `checkpoint_training` provide phi, `fitter` fits tasks,
 `fit` is one result, `outputs` writes files and reads records, `execution` does a whole command, and `api` has the
-functions for Python programs.
+functions for Python programs. `data_sets` makes data sets and checks them.
 `environment` (device, threads, versions), `memory_errors` and `reporter` (messages and progress) serve all of them.
 """

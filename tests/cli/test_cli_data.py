@@ -23,7 +23,7 @@ from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
 from metapp.rendering.scenes.stored_text import decode_scene
-from metapp.runs.inputs.embedded import make_embedded_set, split_counts
+from metapp.runs.data_sets.embedded import make_embedded_set, split_counts
 from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
 from tests.conftest import CommandResult
 from tests.needs_mitsuba import needs_mitsuba

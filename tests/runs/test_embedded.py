@@ -16,14 +16,14 @@ from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline_fits import find_training_folder
 from metapp.learning.task import Task
 from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.inputs.embedded import (
+from metapp.runs.data_sets.embedded import (
     embedded_folders,
     has_embedded_tests,
     has_embedded_training,
     make_embedded_set,
     make_embedded_test_set,
 )
+from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.run_inputs import data_label, read_test_tasks
 from metapp.runs.outputs.run_records import find_fitted_tasks
 from metapp.storage.fit_records import decode_record

@@ -34,7 +34,7 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.learning.task import Task
-from metapp.runs.inputs.embedded import make_embedded_set
+from metapp.runs.data_sets.embedded import make_embedded_set
 from metapp.storage.shards import read_manifest
 from tests.needs_mitsuba import needs_mitsuba
 from tests.recipe_apps import app_names, application

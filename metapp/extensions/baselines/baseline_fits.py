@@ -22,9 +22,9 @@ from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingT
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.runs.choice import Choice
+from metapp.runs.data_sets.embedded import has_embedded_training, make_embedded_set
 from metapp.runs.environment import software_versions
 from metapp.runs.fitter import rng_of
-from metapp.runs.inputs.embedded import has_embedded_training, make_embedded_set
 from metapp.runs.inputs.run_inputs import data_label
 from metapp.runs.outputs.contact_sheet import PICTURE_KEY
 from metapp.storage.fit_records import FitRecord, Settings

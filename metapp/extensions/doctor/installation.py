@@ -19,7 +19,7 @@ from metapp.appearance.features import vgg_weights_path
 from metapp.entries import METAPP_PACKAGE
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
-from metapp.runs.inputs.embedded import has_embedded_tests
+from metapp.runs.data_sets.embedded import has_embedded_tests
 from metapp.storage import Document
 from metapp.storage.cache_folders import make_cache_folder
 from metapp.storage.files import open_tensors

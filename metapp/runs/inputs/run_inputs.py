@@ -19,7 +19,7 @@ from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.choice import Choice
-from metapp.runs.inputs.embedded import make_embedded_set, make_embedded_test_set
+from metapp.runs.data_sets.embedded import make_embedded_set, make_embedded_test_set
 from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value

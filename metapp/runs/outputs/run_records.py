@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from metapp.entries import did_you_mean
 from metapp.learning.task import Task
 from metapp.runs.choice import choose_as_recorded
+from metapp.runs.data_sets.embedded import embedded_folders
 from metapp.runs.fit_options import application_named, check_export, extract_data_set, fit_options
-from metapp.runs.inputs.embedded import embedded_folders
 from metapp.runs.inputs.refusals import path_refusal
 from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_inputs, read_test_tasks, task_digest
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open

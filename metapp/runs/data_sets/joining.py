@@ -12,8 +12,8 @@ from pathlib import Path
 import torch
 
 from metapp.learning.task import KIND_TENSOR, Task
+from metapp.runs.data_sets.conversion import ConversionResult, conversion_result
 from metapp.runs.fit_options import application_named
-from metapp.runs.inputs.conversion import ConversionResult, conversion_result
 from metapp.runs.reporter import progress, say
 from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest, write_data_set
 
