@@ -102,6 +102,8 @@ class ExportParameters(Protocol):
 
         Raises:
             ValueError: the form cannot hold this fit.
+            KeyError: the form also holds something of the fit's input, which was not given; `metapp export` then looks
+                for the input and calls again.
             OSError: the file cannot be written.
         """
         ...
@@ -167,7 +169,8 @@ class EmbeddedSet(Protocol):
         COUNTS: the number of tasks of the default set, by split ("train", "test").
         UNITS: units or encodings of the tasks' tensors in words, by name.
         synthetic_tasks: a function `synthetic_tasks(split, count, seed, **options)` that yields so many tasks. A seed
-            gives equal tasks on every machine; further parameters are options of `metapp data synth`.
+            gives equal tasks on every machine; further parameters are named like options of `metapp data synth`, which
+            are those of `metapp.cli.synthesis_options.SynthOptions`.
 
     >>> from metapp.registry import registry
     >>> registry().applications["brdf"].synthetic.load().COUNTS
@@ -402,8 +405,8 @@ class Application(SetOnce):
         self.outputs = Entries(Lazy, f"outputs of {self.name}")
         self.networks = Entries(Lazy, f"networks of {self.name}")
 
-    def tables(self) -> Iterator[Entries[Any]]:
-        """Yield the tables of the application."""
+    def all_entries(self) -> Iterator[Entries[Any]]:
+        """Yield the entries of each kind that the application has."""
         return (value for value in vars(self).values() if isinstance(value, Entries))
 
     def named_recipes(self) -> Iterator[tuple[str, str, RecipeEntry]]:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from metapp.application import Application, Format
-from metapp.entries import METAPP_PACKAGE, Entries, Lazy, SetOnce, describe_error, registering
+from metapp.entries import METAPP_PACKAGE, Entries, Lazy, SetOnce, describe_error, did_you_mean, registering
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -308,6 +308,29 @@ class Registry:
         """Add an application under its name."""
         self.applications[application.name] = application
 
+    def application(self, name: str) -> Application:
+        """Return the application of a name.
+
+        Raises:
+            BadOption: there is no application of that name; the message lists all names.
+
+        >>> registry().application("illumination").title
+        'Illumination'
+        """
+        if name not in self.applications:
+            from metapp.options import BadOption  # imported for the error alone; completion does without
+
+            names = sorted(self.applications)
+            raise BadOption(
+                f"'{name}' is not an application; expected one of {', '.join(names)}.{did_you_mean(name, names)}"
+            )
+        return self.applications[name]
+
+    @property
+    def embedded_apps(self) -> list[str]:
+        """The names of the applications that have an embedded data set, sorted."""
+        return sorted(name for name, application in self.applications.items() if application.synthetic)
+
     @property
     def rule_words(self) -> list[str]:
         """The words that --rule accepts, joined by +: rules, compositions and parts."""
@@ -327,16 +350,16 @@ class Registry:
                 return application, application.formats[name]
         raise KeyError(name)
 
-    def all_tables(self) -> Iterator[Entries[Any]]:
-        """Yield all tables of the registry, then those of each application."""
-        yield from (table for table in vars(self).values() if isinstance(table, Entries))
+    def all_entries(self) -> Iterator[Entries[Any]]:
+        """Yield the entries of each kind: the registry's, then each application's."""
+        yield from (entries for entries in vars(self).values() if isinstance(entries, Entries))
         for application in self.applications.values():
-            yield from application.tables()
+            yield from application.all_entries()
 
-    def entries(self) -> Iterator[tuple[str, Any, Any]]:
-        """Yield the title of the table, the key and the entry, for all entries."""
-        for table in self.all_tables():
-            yield from ((table.title, key, entry) for key, entry in table.items())
+    def each_entry(self) -> Iterator[tuple[str, Any, Any]]:
+        """Yield each entry after the title of its kind and its key."""
+        for entries in self.all_entries():
+            yield from ((entries.title, key, entry) for key, entry in entries.items())
 
 
 def registry() -> Registry:
@@ -374,7 +397,7 @@ def _build_registry(without: str) -> Registry:
 def _copy_dictionaries(registry: Registry) -> list[tuple[dict[Any, Any], dict[Any, Any]]]:
     """Return all dictionaries that an extension may change, each with a copy of its content."""
     dictionaries = [vars(registry.hooks), *(vars(application) for application in registry.applications.values())]
-    for table in registry.all_tables():
+    for table in registry.all_entries():
         dictionaries += [table.data, table.owners]
     return [(dictionary, dict(dictionary)) for dictionary in dictionaries]
 
@@ -388,7 +411,7 @@ def _check_entries_of(package: str, registry: Registry) -> None:
         ValueError: two recipes suit equal facts.
     """
     references = [
-        entry for table in registry.all_tables() for key, entry in table.items() if table.owners[key] == package
+        entry for table in registry.all_entries() for key, entry in table.items() if table.owners[key] == package
     ]
     for owner in (registry.hooks, *registry.applications.values()):
         references += [value for value in vars(owner).values() if isinstance(value, Lazy)]

@@ -130,7 +130,7 @@ def test_a_broken_extension_is_left_out_as_a_whole(
     loaded_registry = install_packages(text)
     assert reason.format(name="stranger_module") in loaded_registry.problems.pop("stranger of stranger")
     assert loaded_registry.problems == {}
-    assert repr(list(loaded_registry.entries())) == repr(list(before.entries()))
+    assert repr(list(loaded_registry.each_entry())) == repr(list(before.each_entry()))
     assert "stranger" not in loaded_registry.extensions
 
 
@@ -201,7 +201,7 @@ def test_entries_of_other_packages_that_cannot_be_loaded_are_left_out_with_a_war
 
 
 def test_all_entries_that_ship_can_be_loaded() -> None:
-    for _, _, entry in registry().entries():
+    for _, _, entry in registry().each_entry():
         for reference in module._references_in(entry):
             assert Lazy(reference).load() is not None
 

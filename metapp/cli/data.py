@@ -1,7 +1,7 @@
 """The commands of `metapp data` that convert files, join data sets and check them.
 
 A conversion takes its help and its options from the converter of its format. The work itself is in
-`metapp.runs.inputs`, which is imported only when a command runs.
+`metapp.runs.data_sets`, which is imported only when a command runs.
 """
 
 from __future__ import annotations

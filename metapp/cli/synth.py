@@ -16,15 +16,13 @@ from metapp.cli.synthesis_options import SHARDS_FORM, CornellOptions, SynthOptio
 from metapp.entries import did_you_mean
 from metapp.registry import registry
 
-EMBEDDED_APPS = sorted(name for name, application in registry().applications.items() if application.synthetic)
-
 
 @expand_options(SynthOptions)
 def synth(
     options: SynthOptions,
     name: Annotated[
         str,
-        typer.Argument(metavar="APP", autocompletion=app_words, help=f"{', '.join(EMBEDDED_APPS)}."),
+        typer.Argument(metavar="APP", autocompletion=app_words, help=f"{', '.join(registry().embedded_apps)}."),
     ],
     folder: Annotated[
         Path | None,
@@ -52,7 +50,7 @@ def synth(
 ) -> None:
     """Draw an embedded data set: synthetic tasks, equal on every machine."""
     count, set_options = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
-    apps = EMBEDDED_APPS
+    apps = registry().embedded_apps
     if name not in apps:
         raise typer.BadParameter(
             f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{did_you_mean(name, apps)}",

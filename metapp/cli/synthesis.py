@@ -33,7 +33,9 @@ def draw_shards(
     overwrite: bool,
     quiet: bool,
 ) -> ConversionResult:
-    """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.data_sets.embedded.make_embedded_set`.
+    """Draw an embedded data set as shards, which fits read.
+
+    See :func:`metapp.runs.data_sets.embedded.make_embedded_set`.
 
     Args:
         application: the application.

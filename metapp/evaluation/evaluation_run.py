@@ -20,7 +20,7 @@ from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import Checkpoint, load_phi
+from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice, find_and_choose
 from metapp.runs.data_sets.embedded import has_embedded_tests
 from metapp.runs.environment import make_folder, torch_defaults
@@ -85,7 +85,7 @@ class EvaluationRun:
         for name in PARADIGMS:
             self.choices[name] = find_and_choose(replace(options, paradigm=name, steps=None))
             try:
-                checkpoints[name] = load_phi(self.choices[name])
+                checkpoints[name] = find_checkpoint(self.choices[name])
             except ValueError as error:
                 if is_measuring:
                     raise
@@ -95,7 +95,7 @@ class EvaluationRun:
         for rule in (rule for rule in rules if rule != options.rule):
             rule_choice = find_and_choose(replace(options, paradigm="meta", rule=rule))
             with suppress(ValueError):  # no checkpoint was trained by this rule
-                checkpoints[f"meta:{rule}"] = load_phi(rule_choice)
+                checkpoints[f"meta:{rule}"] = find_checkpoint(rule_choice)
                 self.choices[f"meta:{rule}"] = rule_choice
         make_folder(options.out)
         self.tasks: list[Task] = []

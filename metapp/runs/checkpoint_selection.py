@@ -45,7 +45,7 @@ class Checkpoint(NamedTuple):
     digest: str
 
 
-def load_phi(choice: Choice) -> Checkpoint:
+def find_checkpoint(choice: Choice) -> Checkpoint:
     """Read the checkpoint of a choice: the one that --checkpoint names, else the one that ships.
 
     Raises:

@@ -22,8 +22,8 @@ from metapp.paradigms.paradigm import CheckpointTraining
 from metapp.paradigms.training import TrainState, train_phi
 from metapp.runs.checkpoint_selection import (
     Checkpoint,
+    find_checkpoint,
     has_shipped_checkpoint,
-    load_phi,
     merge_tuned_adam,
     trained_checkpoint_path,
 )
@@ -53,7 +53,7 @@ def train_and_load(choice: Choice) -> Checkpoint | None:
     if general and choice.paradigm.trainings[-1].takes_encoder_from_general:
         return merge_tuned_adam(general, load_checkpoint(path)[0], path)
     trained = replace(choice, options=replace(choice.options, checkpoint=path))
-    return load_phi(trained) if ranks.rank_number() == 0 else None
+    return find_checkpoint(trained) if ranks.rank_number() == 0 else None
 
 
 def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
@@ -182,7 +182,7 @@ def _read_first_checkpoint(choice: Choice, training: CheckpointTraining) -> Chec
         return None
     if training.takes_encoder_from_general:
         raise ValueError(f"{path}: expected the General that an Adam is searched for; name its file, or leave it out.")
-    checkpoint = load_phi(choice)
+    checkpoint = find_checkpoint(choice)
     say(f"going on from {checkpoint.source}")
     return checkpoint
 
@@ -215,7 +215,7 @@ def _provide_general(choice: Choice, training: CheckpointTraining) -> Checkpoint
                 "it to train another one."
             )
         choice = replace(choice, options=replace(options, checkpoint=path))
-    checkpoint = load_phi(choice)
+    checkpoint = find_checkpoint(choice)
     say(f"General: {checkpoint.source}")
     return checkpoint
 

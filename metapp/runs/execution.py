@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 
 from metapp.paradigms import ranks
-from metapp.runs.checkpoint_selection import Checkpoint, load_phi
+from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
@@ -88,7 +88,7 @@ class RunReport:
         return Path(self.records[0].folder) if len(self.records) == 1 else self.store.path
 
 
-def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = load_phi) -> RunReport | None:
+def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = find_checkpoint) -> RunReport | None:
     """Provide the checkpoint of a choice, then fit all inputs and keep each fit in its folder.
 
     Args:

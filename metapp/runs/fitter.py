@@ -24,7 +24,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import DescentState, final_item
 from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.checkpoint_selection import Checkpoint, load_phi
+from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice
 from metapp.runs.environment import software_versions
 from metapp.runs.fit import Fit
@@ -76,7 +76,7 @@ class Fitter:
         Raises:
             ValueError: there is no checkpoint, or it is for other fits.
         """
-        return cls(choice, load_phi(choice), label)
+        return cls(choice, find_checkpoint(choice), label)
 
     @functools.cached_property
     def settings(self) -> Settings:

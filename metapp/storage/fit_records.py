@@ -96,7 +96,8 @@ class FitRecord(msgspec.Struct, kw_only=True):
     Attributes:
         name: the name of the task.
         error: the error in the unit of tables; None if the task holds no reference.
-        scale: the factor by which `error` was multiplied; `errors` have their own units.
+        scale: the factor by which `error` was multiplied; `errors` have their own units. Records of earlier versions do
+            not state it.
         photo_error: the mean difference between the fit and its photographs in percent of display values; None if the
             error says more, or the fit saw no photograph.
         errors: further errors by name.
@@ -116,12 +117,12 @@ class FitRecord(msgspec.Struct, kw_only=True):
         folder: the folder of the fit, or its file; it is not stored.
 
     >>> FitRecord(name="gold", error=1.5).document()
-    {'name': 'gold', 'error': 1.5, 'scale': 1.0, 'settings': {}}
+    {'name': 'gold', 'error': 1.5, 'settings': {}}
     """
 
     name: str
     error: float | None
-    scale: float = 1.0
+    scale: float | None = None
     photo_error: float | None = None
     errors: dict[str, float | None] = {}
     seconds: float | None = None

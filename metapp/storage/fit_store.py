@@ -165,7 +165,7 @@ def read_fit_record(folder: Path, *, figures: Collection[str] = (), timed: bool 
         return None
     except (ValueError, OSError) as error:
         reason = str(error).removeprefix("no record: ").replace(str(file), "").strip(": ")
-        raise ValueError(f"{file}: no record, expected one of a task ({reason}).") from None
+        raise ValueError(f"{file}: no record, expected one of a task ({reason}); fit again.") from None
 
 
 def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: bool = False) -> list[FitRecord]:
@@ -187,7 +187,7 @@ def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: 
         try:
             record = None if is_partial else read_fit_record(folder, figures=figures, timed=timed)
         except ValueError as error:
-            problems.append(f"{str(error).removesuffix('.')}; passed over, as if not there.")
+            problems.append(f"{str(error).removesuffix('; fit again.')}; passed over, as if not there.")
         else:
             records += [record] if record else []
     if problems:
@@ -241,12 +241,16 @@ def read_packed_record(path: Path) -> FitRecord:
     """
     try:
         with open_tensors(path) as stored:
-            record = decode_record((stored.metadata() or {})[RECORD], timed=True)
+            text = (stored.metadata() or {})[RECORD]
     except (SafetensorError, OSError, ValueError, KeyError):
         raise ValueError(
             f"{path}: no fit, expected a file of Fit.save or a folder of a fit, such as runs/brdf/meta/gold."
         ) from None
-    return replace(record, folder=str(path))
+    try:
+        return replace(decode_record(text, timed=True), folder=str(path))
+    except ValueError as error:
+        reason = str(error).removeprefix("no record: ")
+        raise ValueError(f"{path}: no record, expected one of a fit ({reason}); fit again.") from None
 
 
 class FitStore(NamedTuple):

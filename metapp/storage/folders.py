@@ -1,4 +1,4 @@
-"""The kinds of folders: what a path is, decided in one place for all commands, and the message that refuses it.
+"""The kinds of folders: what a path is, decided in one place for all commands.
 
 A folder means one thing: a data set (it holds a manifest), a fit (it holds a record), a run (it holds fits), rectified
 photographs (it holds positions of cameras or flashes), pictures that show what metapp found in photographs, or else
@@ -39,7 +39,7 @@ class PathKind(enum.Enum):
     DATA_SET = "a data set"
     FIT = "the folder of a fit"
     RUN_FOLDER = "the folder of a run"
-    RUN_FOLDERS = "a folder of runs"
+    FOLDER_OF_RUNS = "a folder of runs"
     RECTIFIED = "a folder of rectified photos"
     DIAGNOSTIC = "made by metapp to show its results"
     FILES = "a folder"
@@ -49,7 +49,7 @@ class PathKind(enum.Enum):
 
 # Kinds of folders that metapp writes, and that hold no files of a user
 WRITTEN_KINDS = (PathKind.DATA_SET, PathKind.FIT, PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC)
-KINDS_WITH_FITS = (PathKind.FIT, PathKind.RUN_FOLDER, PathKind.RUN_FOLDERS)
+KINDS_WITH_FITS = (PathKind.FIT, PathKind.RUN_FOLDER, PathKind.FOLDER_OF_RUNS)
 
 # Where a folder of runs has its fits: `runs/brdf`, `runs`, and `runs` in which `metapp evaluate` alone wrote
 FITS_OF_RUNS = ("*/*/", "*/*/*/", "evaluate/*/*/*/")
@@ -124,10 +124,10 @@ def path_kind(path: str | Path) -> PathKind:
             return PathKind.NOTHING
         if place.endswith(FAILED_PICTURE_SUFFIX):
             return PathKind.DIAGNOSTIC
-        folder_kind = kind_without_runs(os.path.dirname(place))
+        folder_kind = quick_folder_kind(os.path.dirname(place))
         return PathKind.DIAGNOSTIC if folder_kind in (PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC) else PathKind.FILE
-    kind = kind_without_runs(place)
-    return PathKind.RUN_FOLDERS if kind is PathKind.FILES and find_record_files(Path(path), *FITS_OF_RUNS) else kind
+    kind = quick_folder_kind(place)
+    return PathKind.FOLDER_OF_RUNS if kind is PathKind.FILES and find_record_files(Path(path), *FITS_OF_RUNS) else kind
 
 
 def holds_files_of_users(folder: str) -> tuple[bool, bool]:
@@ -136,7 +136,7 @@ def holds_files_of_users(folder: str) -> tuple[bool, bool]:
     Returns:
         Whether the files in a folder are a user's, and whether the folders below it are to be searched.
     """
-    kind = kind_without_runs(os.path.abspath(folder))
+    kind = quick_folder_kind(os.path.abspath(folder))
     return kind not in WRITTEN_KINDS, kind not in WRITTEN_KINDS or kind is PathKind.RUN_FOLDER
 
 
@@ -158,8 +158,8 @@ def is_data_set(path: Path) -> bool:
 
 
 @cached_lookup
-def kind_without_runs(folder: str) -> PathKind:
-    """Return the kind of a folder by its absolute path; a folder of runs, which takes long to see, counts as FILES."""
+def quick_folder_kind(folder: str) -> PathKind:
+    """Return the kind of a folder by its absolute path, without a search: a folder of runs counts as FILES."""
     if _is_data_set(folder):
         return PathKind.DATA_SET
     if _is_fit(folder):

@@ -32,7 +32,7 @@ from metapp.storage.files import (
     write_bytes,
 )
 from metapp.storage.folders import MANIFEST as MANIFEST
-from metapp.storage.folders import SHARD_SUFFIX, PathKind, path_kind
+from metapp.storage.folders import SHARD_SUFFIX
 
 MANIFEST_SCHEMA = 1  # the version of the layout of manifests
 SPLITS = ("train", "test")
@@ -90,9 +90,6 @@ def read_manifest(folder: str | Path) -> Manifest:
         state = "a file" if folder.exists() else "no such folder"
         raise ValueError(f"{folder}: {state}, expected the folder of a data set; make one with `metapp data`.")
     if not path.is_file():
-        if path_kind(folder) is not PathKind.FILES:
-            kind = path_kind(folder).value
-            raise ValueError(f"{folder}: {kind}, expected the folder of a data set; give that one.")
         raise ValueError(
             f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
             "interrupted: convert again with `metapp data`."

@@ -22,7 +22,7 @@ from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
 from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.files import content_digest
+from metapp.storage.files import file_digest
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import RECORD, FitStore, read_fit_records, read_params
 from tests.conftest import CommandResult
@@ -246,7 +246,7 @@ def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule
     assert "going on from mine.safetensors" in more.err
     (path,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
     (_, then), (_, info) = load_checkpoint(kept), load_checkpoint(path)
-    assert info["first"] == content_digest(kept)
+    assert info["first"] == file_digest(kept)
     assert info["curve"][0][2] == pytest.approx(then["validation_error"], rel=1e-4)
     assert info["validation_error"] <= then["validation_error"]
     assert str(path) in more.err

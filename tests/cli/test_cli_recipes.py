@@ -31,7 +31,7 @@ from metapp.extensions.scene_files import scene_reader
 from metapp.extensions.viewer.pages import transport as page
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
@@ -128,7 +128,7 @@ def mark(case: Case) -> Any:
 def ships_checkpoint(options: FitOptions) -> bool:
     """Return whether a checkpoint ships by which these options fit; one that does not belong to the recipe raises."""
     try:
-        load_phi(find_and_choose(options))
+        find_checkpoint(find_and_choose(options))
     except ValueError as error:
         if "no checkpoint ships" not in str(error):
             raise

@@ -98,13 +98,13 @@ def small_tasks() -> Any:
 def read_checkpoint(folder: Path, file: Path) -> None:
     """Read files as --checkpoint, and take one step of a fit."""
 
-    from metapp.runs.checkpoint_selection import load_phi
+    from metapp.runs.checkpoint_selection import find_checkpoint
     from metapp.runs.choice import find_and_choose
     from metapp.runs.fit_options import fit_options
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
     by = find_and_choose(fit_options("brdf", **options, device="cpu", quiet=True))
-    phi = load_phi(by).phi
+    phi = find_checkpoint(by).phi
     try:
         theta = by.paradigm.fit(phi, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged

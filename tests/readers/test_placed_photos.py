@@ -19,7 +19,7 @@ from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
@@ -242,7 +242,7 @@ def test_fits_of_five_photos_have_lower_errors_than_fits_of_one() -> None:
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
         by = find_and_choose(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True))
-        phi = load_phi(by).phi
+        phi = find_checkpoint(by).phi
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
         theta = [by.paradigm.fit(phi, stack_tasks(by.app, [task]), Generator()) for task in of]
         found = [by.app.errors(parameters, stack_tasks(by.app, [t])) for parameters, t in zip(theta, of, strict=True)]

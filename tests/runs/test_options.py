@@ -16,7 +16,7 @@ from metapp.cli.command_tree import app as cli
 from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import find_and_choose, has_shipped_recipe
 from metapp.runs.fit_options import FitOptions, fit_options, folder_name_parts
 from metapp.runs.fitter import Fitter
@@ -149,7 +149,7 @@ def test_records_state_all_options_that_figures_depend_on() -> None:
     named = {names.get(field.name, field.name) for field in fields(FitOptions)} - NO_FIGURE
     app_options = replace(choice.options.app_options, fov=60.0)
     choice = replace(choice, options=replace(choice.options, app_options=app_options))
-    assert named <= Fitter.of(choice).settings("none").document().keys()
+    assert named <= Fitter.of(choice, "none").settings.document().keys()
 
 
 def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: 
     planned = find_and_choose(fit_options(name, observe=observe, recipe="full", out=tmp_path))
     assert planned.app == planned.recipe.app
     assert planned.app.observes == planned.recipe.observes == observe
-    prepared = load_phi(planned).phi
+    prepared = find_checkpoint(planned).phi
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
@@ -189,13 +189,13 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
     options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        load_phi(find_and_choose(options))
+        find_checkpoint(find_and_choose(options))
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
-        load_phi(find_and_choose(fit_options("texture", rule="meta-basis", out=tmp_path)))
+        find_checkpoint(find_and_choose(fit_options("texture", rule="meta-basis", out=tmp_path)))
 
 
 @pytest.mark.parametrize(

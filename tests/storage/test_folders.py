@@ -32,9 +32,9 @@ FOLDERS: dict[str, tuple[PathKind, dict[str, str]]] = {
     "a damaged record beside parameters": (PathKind.FIT, {RECORD: "{", PARAMS: ""}),
     "another program's record": (PathKind.FILES, {RECORD: '{"track": 7}', "bark.png": ""}),
     "fits": (PathKind.RUN_FOLDER, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
-    "runs of an application": (PathKind.RUN_FOLDERS, {f"meta/gold/{RECORD}": FIT}),
-    "runs": (PathKind.RUN_FOLDERS, {f"brdf/meta/gold/{RECORD}": FIT}),
-    "runs of evaluate": (PathKind.RUN_FOLDERS, {f"evaluate/brdf/meta/gold/{RECORD}": FIT}),
+    "runs of an application": (PathKind.FOLDER_OF_RUNS, {f"meta/gold/{RECORD}": FIT}),
+    "runs": (PathKind.FOLDER_OF_RUNS, {f"brdf/meta/gold/{RECORD}": FIT}),
+    "runs of evaluate": (PathKind.FOLDER_OF_RUNS, {f"evaluate/brdf/meta/gold/{RECORD}": FIT}),
     "photos beside all runs": (PathKind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
     "an unfinished fit": (PathKind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
     "cameras": (PathKind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),
@@ -114,6 +114,14 @@ def test_a_refusal_says_what_it_is_and_which_command_takes_it(
     line = path_refusal(folder, "maps")
     assert line.startswith(f"{folder}: {words}; ")
     assert command.format(folder) in line
+
+
+def test_a_refusal_of_a_fit_names_the_only_command_that_takes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metapp.runs.inputs.refusals.COMMANDS_OF_FITS", ("export",))  # as without extensions
+    folder = write_files(tmp_path / "folder", {RECORD: FIT})
+    assert path_refusal(folder, "maps").endswith(f"; metapp export takes it: metapp export {folder}.")
 
 
 def test_a_damaged_file_beside_files_of_users_does_no_harm(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.learning.task import Task
+from metapp.registry import registry
 from metapp.runs.data_sets.embedded import make_embedded_set
 from metapp.storage.shards import read_manifest
 from tests.needs_mitsuba import needs_mitsuba
@@ -231,12 +232,16 @@ def test_tasks_have_the_size_asked_for(tmp_path: Path) -> None:
     assert large.shape == (3, 96, 96)
     assert torch.equal(large, again)
     assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
-    folder = make_embedded_set("texture", count=2, out=tmp_path / "large", quiet=True, options={"size": 64})
+    folder = make_embedded_set(
+        registry().application("texture"), count=2, out=tmp_path / "large", quiet=True, options={"size": 64}
+    )
     assert read_manifest(folder).notes["size"] == 64
     with pytest.raises(
         ValueError, match=r"^brdf: size 64, but its embedded set has no such option; leave --size out\.$"
     ):
-        make_embedded_set("brdf", count=2, out=tmp_path / "no", quiet=True, options={"size": 64})
+        make_embedded_set(
+            registry().application("brdf"), count=2, out=tmp_path / "no", quiet=True, options={"size": 64}
+        )
 
 
 # Under a flash

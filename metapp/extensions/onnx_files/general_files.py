@@ -11,7 +11,7 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.extensions.onnx_files.models import ONNX_OPSET, require_packages
 from metapp.extensions.onnx_files.onnx_page import MODEL_SIDES_PX, RUNTIME_VERSION, provide_runtime, write_page_folder
 from metapp.extensions.onnx_files.photographs import MODEL_SIDE_STEP_PX, VGG_CREDIT, encode_photo_model
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose
 from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
 from metapp.runs.reporter import progress, say
@@ -52,7 +52,7 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
                 lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
             )
     choice = choose(options)
-    app, checkpoint = choice.app, load_phi(choice)
+    app, checkpoint = choice.app, find_checkpoint(choice)
     if not isinstance(app, CodedMaps):
         raise ValueError(
             f"{path}: General of several photos, expected General of one photo; export the maps of its fits instead."

@@ -21,7 +21,7 @@ from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_er
 from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
 from metapp.learning.task import Params
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose
 from metapp.runs.fit_options import fit_options
 
@@ -46,7 +46,7 @@ def plan_brdf(
     Raises:
         ValueError: no direction is within the limits.
     """
-    encoder = load_phi(choose(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True))).phi.encoder
+    encoder = find_checkpoint(choose(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True))).phi.encoder
     measured_angles = directions_to_full_rusinkiewicz(measurements.wi, measurements.wo)
     # without measurements the prior of kind 0 holds, which was learned from measured materials
     theta = (

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from metapp.runs.fit_options import application_named
-from metapp.storage.shards import list_data_set_problems, read_manifest
+from metapp.registry import registry
+from metapp.runs.inputs.refusals import read_named_manifest
+from metapp.storage.shards import list_data_set_problems
 
 
 class CheckedData(NamedTuple):
@@ -37,12 +38,12 @@ def check_data_set(folder: Path) -> CheckedData:
     Raises:
         ValueError: the manifest cannot be read.
     """
-    manifest = read_manifest(folder)
+    manifest = read_named_manifest(folder)
     files = [folder / task.file for task in manifest.tasks]
     return CheckedData(
         app=manifest.app,
         counts={split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")},
         bytes=sum(file.stat().st_size for file in files if file.is_file()),
         units=manifest.units,
-        problems=list_data_set_problems(folder, application_named(manifest.app).app.load().tensors),
+        problems=list_data_set_problems(folder, registry().application(manifest.app).app.load().tensors),
     )

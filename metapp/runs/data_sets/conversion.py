@@ -93,7 +93,7 @@ def convert_files(
             sources, skipped = _find_sources(reader.find, paths)
     except ValueError:
         # no format reads them, and folders of runs are likely the reason: they hold no file of a user
-        if run_folders := [path for path in paths if path_kind(path) is PathKind.RUN_FOLDERS]:
+        if run_folders := [path for path in paths if path_kind(path) is PathKind.FOLDER_OF_RUNS]:
             raise ValueError(path_refusal(run_folders[0], expected)) from None
         raise
     searched_folders = {folder for _, folder in sources.values()} - {None}

@@ -36,11 +36,6 @@ _SPLIT_NOTE = "part"  # the note of a folder that holds one split only, whose va
 _STALE_SECONDS = 3600.0  # the age from which an unfinished folder is taken as left by a program that was killed
 
 
-def embedded_apps() -> list[str]:
-    """Return the names of the applications that have an embedded data set, sorted."""
-    return sorted(name for name, application in registry().applications.items() if application.synthetic)
-
-
 def embedded_module(application: Application) -> EmbeddedSet:
     """Import and return the module that draws an application's embedded set.
 
@@ -48,7 +43,9 @@ def embedded_module(application: Application) -> EmbeddedSet:
         ValueError: the application has no embedded set; the message lists the applications that have one.
     """
     if application.synthetic is None:
-        raise ValueError(f"{application.name}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
+        raise ValueError(
+            f"{application.name}: no embedded data set, expected one of {', '.join(registry().embedded_apps)}."
+        )
     return application.synthetic.load()
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import torch
 
 from metapp.learning.task import KIND_TENSOR, Task
+from metapp.registry import registry
 from metapp.runs.data_sets.conversion import ConversionResult, conversion_result
-from metapp.runs.fit_options import application_named
+from metapp.runs.inputs.refusals import read_named_manifest
 from metapp.runs.reporter import progress, say
-from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest, write_data_set
+from metapp.storage.shards import ManifestEntry, read_data_set, write_data_set
 
 
 def join_data_sets(
@@ -44,8 +45,8 @@ def join_data_sets(
         raise ValueError(
             f"{folder}: one of the data sets to read, expected another folder to write to; choose another --out."
         )
-    manifests = [read_manifest(data_folder) for data_folder in data_folders]
-    app = application_named(name := manifests[0].app).app.load()
+    manifests = [read_named_manifest(data_folder) for data_folder in data_folders]
+    app = registry().application(name := manifests[0].app).app.load()
     tasks_by_name = [
         {task.name: task for task in read_data_set(data_folder, app=name, holds=app.tensors)}
         for data_folder in data_folders

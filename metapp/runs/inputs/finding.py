@@ -19,11 +19,10 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
+from metapp.runs.inputs.refusals import check_files_of_user, path_refusal, read_named_manifest
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import PathKind, cached_lookup, path_kind
-from metapp.storage.shards import read_manifest
 
 DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files
 
@@ -55,7 +54,7 @@ def source_of_data(application: Application, folder: Path) -> Source:
     Raises:
         ValueError: the manifest cannot be read.
     """
-    tensors = dict.fromkeys(read_manifest(folder).units)
+    tensors = dict.fromkeys(read_named_manifest(folder).units)
     return source_of_tensors(application, folder.name, tensors, folder)
 
 
@@ -161,7 +160,7 @@ def _input_refusal(application: Application, path: Path, expected: str) -> str:
         path: the path.
         expected: the inputs that the application takes, in words.
     """
-    if path_kind(path) is PathKind.RUN_FOLDERS:
+    if path_kind(path) is PathKind.FOLDER_OF_RUNS:
         return path_refusal(path, f"an input of {application.name} ({expected})")
     if line := _first_placeholder_line(path):
         return line

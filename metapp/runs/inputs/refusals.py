@@ -11,10 +11,11 @@ from metapp.storage.folders import (
     MANIFEST,
     WRITTEN_KINDS,
     PathKind,
-    kind_without_runs,
     path_kind,
+    quick_folder_kind,
     read_json,
 )
+from metapp.storage.shards import Manifest, read_manifest
 
 COMMANDS_OF_FITS = ("view", "export", "compare")  # commands that take a fit or a run, as far as they are there
 
@@ -32,7 +33,8 @@ def path_refusal(path: Path, expected: str) -> str:
         remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
     elif kind in KINDS_WITH_FITS:
         commands = [f"metapp {name}" for name in COMMANDS_OF_FITS if name in registry().commands]
-        remedy = f"{', '.join(commands[:-1])} and {commands[-1]} take it: {commands[0]} {path}"
+        takers = f"{', '.join(commands[:-1])} and {commands[-1]} take it" if commands[1:] else f"{commands[0]} takes it"
+        remedy = f"{takers}: {commands[0]} {path}"
     elif kind is PathKind.DIAGNOSTIC:
         remedy = "give the photos or files themselves"
     elif kind is PathKind.RECTIFIED:
@@ -55,9 +57,20 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     """
     place = os.path.abspath(path)
     # it takes long to see whether a folder holds runs, and a folder of runs is not one of WRITTEN_KINDS
-    kind = kind_without_runs(place) if os.path.isdir(place) else path_kind(path)
+    kind = quick_folder_kind(place) if os.path.isdir(place) else path_kind(path)
     if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
         raise ValueError(path_refusal(path, expected))
+
+
+def read_named_manifest(folder: Path) -> Manifest:
+    """Read the manifest of a folder that a user names as a data set.
+
+    Raises:
+        ValueError: the folder is another one that metapp wrote, or its manifest cannot be read.
+    """
+    if folder.is_dir() and path_kind(folder) not in (PathKind.DATA_SET, PathKind.FILES):
+        raise ValueError(path_refusal(folder, "the folder of a data set"))
+    return read_manifest(folder)
 
 
 def _manifest_app(folder: Path) -> str:

@@ -21,11 +21,12 @@ from metapp.learning.task import Task
 from metapp.runs.choice import Choice
 from metapp.runs.data_sets.embedded import make_embedded_set, make_embedded_test_set
 from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
+from metapp.runs.inputs.refusals import read_named_manifest
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value
 from metapp.storage.fit_store import name_with_digest
 from metapp.storage.folders import cache_lookups
-from metapp.storage.shards import fingerprint, read_data_set, read_manifest
+from metapp.storage.shards import fingerprint, read_data_set
 
 FILES_LABEL = "files"  # the entry "data" in settings of fits to files, which belong to no data set
 
@@ -115,7 +116,7 @@ def find_inputs(choice: Choice) -> tuple[list[Input], str]:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
     if options.data:
-        read_manifest(options.data)  # the set that a checkpoint is, or was, trained on: a mistyped folder is an error
+        read_named_manifest(options.data)  # the set that a checkpoint was trained on: a mistyped folder is an error
     if merge_options:
         return [_merge_sources(choice, merge_options[0])], FILES_LABEL
     arguments = _reader_arguments(choice)

@@ -15,7 +15,7 @@ from metapp.appearance.pictures import Picture, ScenePictures
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
-from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import Choice, choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.run_inputs import task_digest
@@ -150,7 +150,7 @@ def distill_fit(choice: Choice, task: Task, theta: Params) -> Params:
     sampled_task = choice.presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
     distilled = usual.paradigm.fit(
-        load_phi(usual).phi, stack_tasks(usual.app, [sampled_task]), Generator().manual_seed(options.seed)
+        find_checkpoint(usual).phi, stack_tasks(usual.app, [sampled_task]), Generator().manual_seed(options.seed)
     )
     error_before, error_after = (
         format_number(

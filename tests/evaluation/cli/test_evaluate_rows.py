@@ -107,7 +107,7 @@ def test_the_papers_rule_stores_two_networks(evaluation_run: EvaluationRun) -> N
     app = evaluation_run.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").initial_alpha(app, theta, 10, Adam(0.1))
-    found = checkpoint_bytes(Fitter(evaluation_run.choice, Checkpoint(MetaParameters(theta, alpha), "", "")))
+    found = checkpoint_bytes(Fitter(evaluation_run.choice, Checkpoint(MetaParameters(theta, alpha), "", ""), ""))
     assert found == paper_figures()["storage"]["meta_networks"] * parameter_bytes(theta)
 
 
