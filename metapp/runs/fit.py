@@ -61,7 +61,8 @@ class Fit:
     Attributes:
         choice: the options of the fit, with the application, the recipe and the paradigm.
         task: the task that was fitted.
-        record: the figures in `record.json` of the fit's folder: name, error, seconds, warning, settings and others.
+        record: the record in `record.json` of the fit's folder. Its `figures` are what the application says of a fit
+            besides errors.
     """
 
     def __init__(self, choice: Choice, task: Task, record: FitRecord, parameters: Params | None = None) -> None:
