@@ -169,8 +169,8 @@ class EmbeddedSet(Protocol):
         COUNTS: the number of tasks of the default set, by split ("train", "test").
         UNITS: units or encodings of the tasks' tensors in words, by name.
         synthetic_tasks: a function `synthetic_tasks(split, count, seed, **options)` that yields so many tasks. A seed
-            gives equal tasks on every machine; further parameters are named like options of `metapp data synth`, which
-            are those of `metapp.cli.synthesis_options.SynthOptions`.
+            gives equal tasks on every machine; further parameters are named like options of `metapp data synth`, see
+            `metapp.cli.synthesis_options`.
 
     >>> from metapp.registry import registry
     >>> registry().applications["brdf"].synthetic.load().COUNTS

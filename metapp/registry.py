@@ -312,16 +312,14 @@ class Registry:
         """Return the application of a name.
 
         Raises:
-            BadOption: there is no application of that name; the message lists all names.
+            ValueError: there is no application of that name; the message lists all names.
 
         >>> registry().application("illumination").title
         'Illumination'
         """
         if name not in self.applications:
-            from metapp.options import BadOption  # imported for the error alone; completion does without
-
             names = sorted(self.applications)
-            raise BadOption(
+            raise ValueError(
                 f"'{name}' is not an application; expected one of {', '.join(names)}.{did_you_mean(name, names)}"
             )
         return self.applications[name]

@@ -19,6 +19,7 @@ from metapp.cli.help import HelpCommand, HelpGroup
 from metapp.entries import METAPP_PACKAGE, describe_error, did_you_mean
 from metapp.options import BadOption, Converter
 from metapp.registry import registry
+from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import say
 
 TYPER_CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -141,7 +142,7 @@ def make_app_group(function: Callable[[Application], Callable[..., None]], summa
         epilog = f"Commands to try: metapp examples {name}" if application.examples else None
         return _make_typer_command(function(application), name, help=application.help, epilog=epilog)
 
-    return make_lazy_group(summary, lambda: sorted(registry().applications), command, registry().application)
+    return make_lazy_group(summary, lambda: sorted(registry().applications), command, application_named)
 
 
 data_group = _registry_group("Make data sets from files or by drawing them, and check them.", "data ")

@@ -19,7 +19,7 @@ from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
 from metapp.registry import registry
 from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import check_observation, fit_options
+from metapp.runs.fit_options import application_named, check_observation, fit_options
 from metapp.runs.reporter import say
 
 MAX_NOTE_LINES = 10  # lines of notes that a terminal shows below all tables
@@ -173,7 +173,7 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
             f"--checkpoint {options.checkpoint}: {found}, expected one APP and the folder of its trained checkpoints, "
             "such as runs/brdf/checkpoints/..."
         )
-    applications = [registry().application(name) for name in names]
+    applications = [application_named(name) for name in names]
     for application in [application for application in applications if application.observations] or applications:
         check_observation(options.observe, application)
     fit_values, choices = {name: getattr(options, name) for name in FIT_OPTION_NAMES}, []

@@ -28,6 +28,7 @@ from metapp.runs.environment import find_device
 from metapp.runs.fit_options import (
     FitOptions,
     app_options_of_record,
+    application_named,
     fit_options,
     folder_name_parts,
 )
@@ -195,7 +196,7 @@ def choose_as_recorded(
         BadOption: one of `options` is wrong.
         ValueError: this version of metapp does not know the settings.
     """
-    application = registry().application(settings.app)
+    application = application_named(settings.app)
     recorded = app_options_of_record(application, settings.options, inputs=bool(inputs))
     paradigm = settings.paradigm or FitOptions.paradigm
     rule = settings.rule if paradigm_of(paradigm).has_learned_rule else ""

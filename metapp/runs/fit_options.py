@@ -112,7 +112,7 @@ def fit_options(
     """
     if not isinstance(paradigm, str):
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
-    application = registry().application(app) if isinstance(app, str) else app
+    application = application_named(app) if isinstance(app, str) else app
     given_paths, given_data = [path for path in inputs if isinstance(path, Path)], values.get("data")
     paths, data = extract_data_set(given_paths, Path(given_data) if isinstance(given_data, str | Path) else None)
     if len(paths) < len(given_paths):
@@ -158,6 +158,19 @@ def extract_data_set(paths: Sequence[Path], data: Path | None) -> tuple[Sequence
     if data and data.resolve() != data_set.resolve():
         raise BadOption(f"{data_set}: a data set, and another by --data {data}, expected one; leave one out.")
     return (), data_set
+
+
+def application_named(name: str) -> Application:
+    """Return the application that a user names.
+
+    Raises:
+        BadOption: there is no such application; the message lists all.
+    """
+    try:
+        return registry().application(name)
+    except ValueError as error:
+        message = str(error)
+    raise BadOption(message)  # outside of the handler, so that a traceback shows one error
 
 
 def check_observation(observation: str, application: Application) -> None:

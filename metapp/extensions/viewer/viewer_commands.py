@@ -16,6 +16,7 @@ from metapp.cli.arguments import FittedData, JsonFlag, Overwrite, Quiet, app_wor
 from metapp.cli.console import print_json
 from metapp.options import BadOption
 from metapp.registry import registry
+from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import format_number, progress, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -91,7 +92,7 @@ def try_command(
 
     runs, fits = list[Path](), []
     for app in apps or ():
-        registry().application(app)
+        application_named(app)
     for app in apps or sorted(registry().applications):
         try:
             with progress(f"try {app}", quiet=quiet):  # the bars of the fit itself, of one input, are not shown

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from metapp.registry import registry
-from metapp.runs.inputs.refusals import read_named_manifest
+from metapp.runs.inputs.finding import read_named_manifest
 from metapp.storage.shards import list_data_set_problems
 
 

@@ -14,7 +14,7 @@ import torch
 from metapp.learning.task import KIND_TENSOR, Task
 from metapp.registry import registry
 from metapp.runs.data_sets.conversion import ConversionResult, conversion_result
-from metapp.runs.inputs.refusals import read_named_manifest
+from metapp.runs.inputs.finding import read_named_manifest
 from metapp.runs.reporter import progress, say
 from metapp.storage.shards import ManifestEntry, read_data_set, write_data_set
 

@@ -19,10 +19,11 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.refusals import check_files_of_user, path_refusal, read_named_manifest
+from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import PathKind, cached_lookup, path_kind
+from metapp.storage.shards import Manifest, read_manifest
 
 DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files
 
@@ -56,6 +57,17 @@ def source_of_data(application: Application, folder: Path) -> Source:
     """
     tensors = dict.fromkeys(read_named_manifest(folder).units)
     return source_of_tensors(application, folder.name, tensors, folder)
+
+
+def read_named_manifest(folder: Path) -> Manifest:
+    """Read the manifest of a folder that a user names as a data set.
+
+    Raises:
+        ValueError: the folder is another one that metapp wrote, or its manifest cannot be read.
+    """
+    if folder.is_dir() and path_kind(folder) not in (PathKind.DATA_SET, PathKind.FILES):
+        raise ValueError(path_refusal(folder, "the folder of a data set"))
+    return read_manifest(folder)
 
 
 def source_of_tensors(

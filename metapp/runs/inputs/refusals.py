@@ -15,7 +15,6 @@ from metapp.storage.folders import (
     quick_folder_kind,
     read_json,
 )
-from metapp.storage.shards import Manifest, read_manifest
 
 COMMANDS_OF_FITS = ("view", "export", "compare")  # commands that take a fit or a run, as far as they are there
 
@@ -60,17 +59,6 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     kind = quick_folder_kind(place) if os.path.isdir(place) else path_kind(path)
     if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
         raise ValueError(path_refusal(path, expected))
-
-
-def read_named_manifest(folder: Path) -> Manifest:
-    """Read the manifest of a folder that a user names as a data set.
-
-    Raises:
-        ValueError: the folder is another one that metapp wrote, or its manifest cannot be read.
-    """
-    if folder.is_dir() and path_kind(folder) not in (PathKind.DATA_SET, PathKind.FILES):
-        raise ValueError(path_refusal(folder, "the folder of a data set"))
-    return read_manifest(folder)
 
 
 def _manifest_app(folder: Path) -> str:

@@ -20,8 +20,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.choice import Choice
 from metapp.runs.data_sets.embedded import make_embedded_set, make_embedded_test_set
-from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
-from metapp.runs.inputs.refusals import read_named_manifest
+from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments, read_named_manifest
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value
 from metapp.storage.fit_store import name_with_digest

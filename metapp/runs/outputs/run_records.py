@@ -16,10 +16,9 @@ from msgspec.structs import replace
 
 from metapp.entries import did_you_mean
 from metapp.learning.task import Task
-from metapp.registry import registry
 from metapp.runs.choice import choose_as_recorded
 from metapp.runs.data_sets.embedded import embedded_folders
-from metapp.runs.fit_options import check_export, extract_data_set, fit_options
+from metapp.runs.fit_options import application_named, check_export, extract_data_set, fit_options
 from metapp.runs.inputs.refusals import path_refusal
 from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_inputs, read_test_tasks, task_digest
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
@@ -163,7 +162,7 @@ def _find_tasks_of_group(records: list[FitRecord], inputs: Sequence[Path], data:
         data_folders = (path_from_json_text(origin.data) for origin in origins if origin.data)
         data = next((folder for folder in data_folders if folder.is_dir()), None)
     # test tasks of the embedded set may lie in a folder of their own, or beside its training tasks
-    application = registry().application(settings.app)
+    application = application_named(settings.app)
     embedded = next((folder for folder in embedded_folders(application) if data_label(folder) == label), None)
     if not (inputs or data or embedded):
         return {}
@@ -221,7 +220,7 @@ def export_fits(
         names = ", ".join(sorted(app_names))
         raise ValueError(f"{place}: fits of {names}, expected one application; take one run's folder.")
     (app_name,) = app_names
-    check_export(form, registry().application(app_name))
+    check_export(form, application_named(app_name))
     fit_options(app_name, **options)
     files = []
     with progress(form, len(records), quiet=quiet) as bar:
