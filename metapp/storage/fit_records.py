@@ -80,14 +80,18 @@ class Settings(msgspec.Struct, kw_only=True):
         >>> Settings.of({"app": "brdf", "steps": 10, "precision": "float32"}).further
         {'precision': 'float32'}
         """
-        known = {name: value for name, value in entries.items() if name in cls.__struct_fields__[:-1]}
-        further = {name: value for name, value in entries.items() if name not in known}
-        known = {name: value for name, value in known.items() if value is not None}
-        return msgspec.convert(to_json_value({**known, "further": further}), cls)
+        return msgspec.convert(to_json_value(_set_further_apart(entries)), cls)
 
     def document(self) -> Document:
         """Return the settings as JSON holds them: those that are set, further ones beside the others."""
         return _entries_that_are_set(self, leave_out=("further",)) | self.further
+
+
+def _set_further_apart(entries: Mapping[str, Any]) -> Document:
+    """Return settings by name with those that `Settings` has no field for in an entry `further`; None is not set."""
+    names = set(Settings.__struct_fields__) - {"further"}
+    known = {name: value for name, value in entries.items() if name in names and value is not None}
+    return known | {"further": {name: value for name, value in entries.items() if name not in names}}
 
 
 class FitRecord(msgspec.Struct, kw_only=True):
@@ -204,12 +208,7 @@ def _in_present_form(document: Any) -> Any:
     document = {name: value for name, value in document.items() if name != "folder"}
     settings = document.get("settings", {})
     if isinstance(settings, dict):
-        known = {name: value for name, value in settings.items() if name in Settings.__struct_fields__[:-1]}
-        further = {name: value for name, value in settings.items() if name not in known}
-        document["settings"] = {
-            **{name: value for name, value in known.items() if value is not None},
-            "further": further,
-        }
+        document["settings"] = _set_further_apart(settings)
     if "scale" not in document:
         others = {name: document.pop(name) for name in [*document] if name not in FitRecord.__struct_fields__}
         figures = {
