@@ -12,8 +12,9 @@ import OpenImageIO as oiio
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, camera_position, radiance_to_display, render_maps, texel_positions
+from metapp.appearance.colour import radiance_to_display, srgb_to_linear
+from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.svbrdf_maps import Maps
 
 
 def read(file: Path) -> Tensor:

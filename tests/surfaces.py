@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, normal_from_height
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.surface import Surface
+from metapp.appearance.svbrdf_maps import Maps
 
 PROVENANCE = {"task": "rock", "app": "svbrdf_nonstationary", "rise": math.inf, "versions": {"metapp": "0"}}
 
@@ -24,6 +25,19 @@ def rock_surface(size: int = 32, *, tiles: bool = True) -> Surface:
     roughness = 0.5 + 0.35 * (2 * y).sin()[None]
     normal = normal_from_height(height[None], periodic=tiles)[0]
     return Surface(diffuse, tiles, Maps(diffuse, specular, roughness, normal), height if tiles else None)
+
+
+def flat_maps(
+    diffuse: float = 0.0,
+    specular: float = 0.0,
+    roughness: float = 0.5,
+    *,
+    size: tuple[int, int] = (1, 1),
+    normal: tuple[float, ...] = (0.0, 0.0, 1.0),
+) -> Maps:
+    """Return maps that are alike everywhere, float64, [.., H, W] without a batch."""
+    values = ([diffuse] * 3, [specular], [roughness], normal)
+    return Maps(*(torch.tensor(v, dtype=torch.float64)[:, None, None].expand(-1, *size) for v in values))
 
 
 def texture_surface(size: int = 32) -> Surface:

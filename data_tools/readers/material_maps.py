@@ -52,8 +52,8 @@ from data_tools.readers.opened_images import IMAGE_SUFFIXES
 from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
-from metapp.appearance.flash import Maps, pack_maps
 from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
 from metapp.storage.shards import ManifestEntry

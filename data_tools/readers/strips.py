@@ -29,7 +29,7 @@ from data_tools.readers.square_photos import central_square, reading_side_px, re
 from data_tools.readers.square_photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import decode_unit_normals, encode_srgb, make_svbrdf_task, task_name
-from metapp.appearance.flash import Maps, pack_maps
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO_SPLIT, ManifestEntry, split_auto
 

@@ -15,7 +15,8 @@ from torch.nn import functional
 
 from data_tools.readers.input_source import PHOTO_COUNT_FACT, REFERENCE_FACT
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import camera_position, render_maps, texel_positions, unpack_maps
+from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.application import Facts
 from metapp.learning.task import Task
 
@@ -46,7 +47,7 @@ def make_svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) ->
 
     Args:
         name: the name of the task.
-        maps: packed maps [10, S, S]; see :func:`metapp.appearance.flash.pack_maps`.
+        maps: packed maps [10, S, S]; see :func:`metapp.appearance.svbrdf_maps.pack_maps`.
         photo: its flash photograph, sRGB uint8 [3, S, S]; None to render it.
 
     Returns:

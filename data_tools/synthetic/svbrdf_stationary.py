@@ -20,18 +20,10 @@ from data_tools.readers.flash_photos import UNITS as OF_PHOTOS
 from data_tools.synthetic.random_values import Split, between, log_between, uniforms
 from data_tools.synthetic.stationary.families import FAMILIES, split_draws
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
-from metapp.appearance.flash import (
-    STATISTICS_SIDES_PX,
-    Maps,
-    camera_position,
-    map_statistics,
-    normal_from_height,
-    pack_maps,
-    radiance_to_display,
-    relighting_positions,
-    render_maps,
-    texel_positions,
-)
+from metapp.appearance.colour import radiance_to_display
+from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics, pack_maps
 from metapp.learning.task import Task
 
 COUNTS: dict[Split, int] = {"train": 120, "test": 16}
@@ -39,9 +31,9 @@ UNITS = {
     **OF_PHOTOS,
     "relit": "photographs under other lights, sRGB display values 0..255, [3, 3, S, S]; test tasks only",
     "truth": "statistics of the maps under the photo's exposure, at 256, 128 and 64 px, float32 [3, 2, 6] as of "
-    "metapp.appearance.flash.map_statistics; training tasks only",
-    "maps": "the maps under the photo's exposure, float16 [10, S, S], packed by metapp.appearance.flash.pack_maps; "
-    "training tasks only, where they are asked for",
+    "metapp.appearance.svbrdf_maps.map_statistics; training tasks only",
+    "maps": "the maps under the photo's exposure, float16 [10, S, S], packed by "
+    "metapp.appearance.svbrdf_maps.pack_maps; training tasks only, where they are asked for",
 }
 
 # Families that are flat enough to be maps on a plane: without loose grass, leaves, and materials that are mostly print.
@@ -65,7 +57,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, *
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
         [3, size, size], sRGB. Training tasks also hold `truth`, float32 [3, 2, 6], and if they are asked for `maps`,
         float16 [10, size, size]; test tasks hold `relit`, uint8 [3, 3, size, size], the material at the photo's
-        exposure under `metapp.appearance.flash.relighting_positions`.
+        exposure under `metapp.appearance.flash_rendering.relighting_positions`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -86,7 +78,7 @@ class FlashShots(NamedTuple):
     Attributes:
         photo: uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white.
         relit: uint8 [3, 3, S, S], at the photo's exposure without noise, under
-            `metapp.appearance.flash.relighting_positions`.
+            `metapp.appearance.flash_rendering.relighting_positions`.
         maps: the maps [C, S, S] that make the photo's picture at exposure 1.
     """
 

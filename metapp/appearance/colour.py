@@ -1,4 +1,4 @@
-"""sRGB encoding (IEC 61966-2-1), its inverse, and tone mapping: all ways from linear values to the eye.
+"""sRGB encoding (IEC 61966-2-1), display gamma, their inverses, and tone mapping: ways from linear values to the eye.
 
 Nothing here reads or writes files.
 """
@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
+
+DISPLAY_GAMMA = 2.2  # power by which a display turns values into radiance
 
 
 def srgb_to_linear(srgb: Tensor) -> Tensor:
@@ -28,6 +30,15 @@ def linear_to_srgb(linear: Tensor) -> Tensor:
     """
     linear_segment = linear * 12.92
     return torch.where(linear <= 0.0031308, linear_segment, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def radiance_to_display(radiance: Tensor) -> Tensor:
+    """Convert linear radiance of any shape, 1 is white, to display values in [0.002, 1]: clamp to [1e-6, 1], gamma 2.2.
+
+    The floor keeps the slope at black finite (850) and is less than half a step of 8 bits. Outside the range the
+    gradient is 0: a descent must begin dark enough, since a picture that is over-exposed all over has none.
+    """
+    return radiance.clamp(1e-6, 1.0) ** (1 / DISPLAY_GAMMA)
 
 
 def composite_to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:

@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d
 
-from metapp.appearance.flash import DISPLAY_GAMMA, Maps, render_maps, texel_positions
+from metapp.appearance.colour import DISPLAY_GAMMA
+from metapp.appearance.flash_rendering import render_maps, texel_positions
 from metapp.appearance.lattice import even_out_brightness
+from metapp.appearance.svbrdf_maps import Maps
 
 PROFILE_RINGS = 24  # number of rings about the flash
 PROFILE_RADIUS_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring

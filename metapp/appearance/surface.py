@@ -16,16 +16,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import (
-    Maps,
-    height_from_normal,
-    radiance_to_display,
-    relighting_positions,
-    render_maps,
-    texel_positions,
-)
+from metapp.appearance.colour import linear_to_srgb, radiance_to_display
+from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
+from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.pictures import Picture
+from metapp.appearance.svbrdf_maps import Maps
 
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of nearly all materials but metals
 PHOTOGRAPH_STRIP_TEXELS = 2**17  # texels rendered at a time
@@ -98,7 +93,7 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
     Args:
         maps: [C, H, W] each.
         height: [1, H, W] in texels, if a fit has it.
-        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
     """
     pictures = {
         "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
@@ -120,7 +115,7 @@ def photograph_maps(maps: Maps, light: Tensor, view: Tensor, *, falloff: float =
         maps: [C, H, W] each.
         light: position of the flash in half sides of the patch, [3].
         view: position of the camera in half sides of the patch, [3].
-        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
 
     Returns:
         Display values [3, H, W] in [0.002, 1].

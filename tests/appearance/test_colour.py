@@ -6,7 +6,13 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.colorimetry import colour_difference, import_colour_science
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretch_to_unit_range, tone_map
+from metapp.appearance.colour import (
+    linear_to_srgb,
+    radiance_to_display,
+    srgb_to_linear,
+    stretch_to_unit_range,
+    tone_map,
+)
 from metapp.appearance.metrics import dssim, mape, smape, ssim
 
 
@@ -27,6 +33,21 @@ def test_stretched_values_come_back_and_a_plane_is_black() -> None:
     torch.testing.assert_close(low + shown * (high - low), values)
     shown, low, high = stretch_to_unit_range(torch.full((2, 2), -3.0))
     assert (shown.tolist(), low, high) == ([[0, 0], [0, 0]], -3, -3)
+
+
+def test_exposure_is_a_clamp_and_a_root_with_finite_gradients() -> None:
+    radiance = torch.tensor([-1.0, 0.0, 1e-6, 0.25, 1.0, 1.5], dtype=torch.float64, requires_grad=True)
+    shown = radiance_to_display(radiance)
+    assert shown[-2:].tolist() == [1, 1]
+    assert shown[3].item() == pytest.approx(0.25 ** (1 / 2.2))
+    assert shown[1].item() < 0.5 / 255
+    (slope,) = torch.autograd.grad(shown.sum(), radiance)
+    assert slope.isfinite().all()
+    assert slope[[0, 1, 5]].tolist() == [0, 0, 0]
+    assert slope.max() < 1000
+    assert torch.autograd.gradcheck(
+        radiance_to_display, (torch.linspace(0.01, 0.99, 9, dtype=torch.float64).requires_grad_(),)
+    )
 
 
 @pytest.fixture

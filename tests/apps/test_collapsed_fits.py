@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_task import make_brdf_task
-from metapp.appearance.flash import Maps
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task

@@ -16,8 +16,8 @@ from data_tools.random_streams import random_stream
 from data_tools.readers.brdf_task import make_brdf_task
 from data_tools.readers.environment_maps import make_map_task
 from data_tools.readers.svbrdf_task import make_svbrdf_task
-from metapp.appearance.flash import Maps, pack_maps
 from metapp.appearance.latlong import solid_angles, sphere_normals, texel_directions
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks

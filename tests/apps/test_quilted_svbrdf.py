@@ -7,17 +7,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.flash import (
-    Maps,
-    camera_position,
-    normal_from_height,
-    pack_maps,
-    radiance_to_display,
-    render_maps,
-    texel_positions,
-    unpack_maps,
-)
+from metapp.appearance.colour import radiance_to_display
+from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.lattice import even_out_contrast
+from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_stationary.quilted import (

@@ -6,18 +6,10 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import (
-    DISPLAY_GAMMA,
-    Maps,
-    camera_position,
-    map_statistics,
-    normal_from_height,
-    radiance_to_display,
-    relighting_positions,
-    render_maps,
-    texel_positions,
-)
+from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, srgb_to_linear
+from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.svbrdf_maps import Maps, map_statistics
 from metapp.apps.exemplar.app import PictureChanges, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES

@@ -19,9 +19,10 @@ from torch.nn.functional import interpolate
 from data_tools.readers.environment_maps import read_map
 from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import tone_map
-from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import photograph_spheres
+from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.illumination import recipes as illumination_recipes
 from metapp.apps.svbrdf_nonstationary import recipes as material_recipes
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of

@@ -14,7 +14,8 @@ from data_tools.readers.material_maps import read_task
 from metapp.appearance import features
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import vgg_weights_path
-from metapp.appearance.flash import normal_from_height, unpack_maps
+from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.entries import load_reference
 from metapp.learning.task import Task

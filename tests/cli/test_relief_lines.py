@@ -5,8 +5,10 @@ import re
 import pytest
 import torch
 
-from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relighting_positions
+from metapp.appearance.flash_rendering import relighting_positions
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.surface import photograph_maps, scale_relief
+from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES, relief_lines
 from metapp.storage.fit_records import FitRecord
 

@@ -12,9 +12,10 @@ from data_tools.readers.brdf_task import make_brdf_task
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.flash import Maps, normal_from_height, pack_maps
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import photograph_spheres
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK

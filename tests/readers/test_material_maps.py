@@ -13,7 +13,7 @@ from data_tools.readers.map_names import parse_map_name
 from data_tools.readers.material_maps import entries, find, mixed_slope_correlation, read_task
 from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import normal_from_height
+from metapp.appearance.height_fields import normal_from_height
 from tests.found_paths import find_paths
 from tests.pictures import assert_refused_in_one_line, write_planes
 

@@ -13,7 +13,8 @@ from data_tools.readers import strips, svbrdf_inputs
 from data_tools.readers.strips import blended_materials, group_strips, split_strips
 from data_tools.readers.svbrdf_task import encode_srgb, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
+from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from tests.found_paths import find_paths
 from tests.pictures import assert_refused_in_one_line
 from tests.pictures import write_planes as write

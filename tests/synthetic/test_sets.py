@@ -23,16 +23,11 @@ from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, map_statistics_of_sides, take_flash_photos
 from data_tools.synthetic.svbrdf_stationary import synthetic_tasks as flash_tasks
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.flash import (
-    Maps,
-    camera_position,
-    normal_from_height,
-    radiance_to_display,
-    render_maps,
-    texel_positions,
-    unpack_maps,
-)
+from metapp.appearance.colour import radiance_to_display
+from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.latlong import luminance, mean_luminance
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.learning.task import Task
 from metapp.registry import registry
 from metapp.runs.data_sets.embedded import make_embedded_set

@@ -14,7 +14,8 @@ from torch import Tensor
 from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.fields import blur_periodic, fbm, mix, smoothstep
 from data_tools.synthetic.random_values import Field
-from metapp.appearance.flash import Maps, normal_from_height, pack_maps
+from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 
 MIN_PATCH_ROUGHNESS, MAX_PATCH_ROUGHNESS = 0.1, 0.95
 
@@ -107,7 +108,7 @@ def local_relief(height: Field, sigma: float = 3.0) -> Field:
 
 
 def pack_surface(surface: PatchSurface) -> Tensor:
-    """Return the maps [10, S, S] of a surface, as `metapp.appearance.flash.pack_maps` packs them, within their ranges.
+    """Return the maps [10, S, S] of a surface within their ranges, packed by `metapp.appearance.svbrdf_maps.pack_maps`.
 
     The albedo of dielectrics is clamped to 0.02 .. 0.85, of metals to 0 .. 0.2; the reflectance to 0.02 .. 1 and the
     roughness to MIN_PATCH_ROUGHNESS .. MAX_PATCH_ROUGHNESS.

@@ -16,7 +16,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, map_statistics, render_maps, texel_positions, unpack_maps
+from metapp.appearance.flash_rendering import render_maps, texel_positions
+from metapp.appearance.svbrdf_maps import Maps, map_statistics, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_LINEAR_VALUE,
     FLASH_NUMBERS,

@@ -15,8 +15,9 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, camera_distance, tilt_sine, unpack_maps
+from metapp.appearance.flash_rendering import camera_distance
 from metapp.appearance.highlight import FILL_PX, fill_clipped
+from metapp.appearance.svbrdf_maps import Maps, tilt_sine, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import (
     FINEST_PX,
     LEVEL_SINE,

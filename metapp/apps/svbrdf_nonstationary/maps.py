@@ -14,13 +14,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import (
-    Maps,
-    camera_distance,
-    camera_position,
-    render_maps,
-    texel_positions,
-)
+from metapp.appearance.flash_rendering import camera_distance, camera_position, render_maps, texel_positions
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.learning.random_tensors import draw_uniform
 
 # Channels of unbounded numbers that stand for a texel: slopes, diffuse colour, roughness, specular colour
@@ -97,7 +92,7 @@ class Flash(NamedTuple):
 
     Attributes:
         place: the position of the flash in half sides of the patch, [T, 3].
-        gain: the intensity of the flash, as :func:`metapp.appearance.flash.render_maps` takes it, [T, 1].
+        gain: the intensity of the flash, as :func:`metapp.appearance.flash_rendering.render_maps` takes it, [T, 1].
         eye: the position of the camera in half sides of the patch, [T, 3] or [3].
         falloff: power of the cosine of the angle with the flash's axis, which points at the middle of the patch, [] or
             [T]. It stands for the beam of the flash and the vignetting of the lens.

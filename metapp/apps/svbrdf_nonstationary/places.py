@@ -1,7 +1,6 @@
-"""Where people hold camera and flash when they take several photographs of a flat material.
+"""Where people hold camera and flash when they take one or several photographs of a flat material.
 
-Training and the embedded data set both draw places here, by one distribution. What the photographs show is not known
-here.
+Training and the embedded data set draw places by one distribution, whose constants stand here.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import math
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash import camera_distance
+from metapp.appearance.flash_rendering import camera_distance
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 
 ASIDE_HALF_SIDES = 0.6  # farthest from above the middle, of all photographs but the first
@@ -20,6 +19,11 @@ NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2
 # Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, the error of a pose
 # that is estimated from a sheet of markers.
 PLACE_ERROR = 0.02
+# Single photographs: the share whose flash is beside the lens; for the others, standard deviations of the sideways
+# offset of the flash in half sides of the patch, and of the natural logarithms of its height and brightness. The
+# sideways deviation is the one in the strips of photographs by Deschaintre et al. 2018.
+BESIDE_LENS_SHARE = 0.3
+FLASH_OFFSET_HALF_SIDES, FLASH_HEIGHT_LOG_DEVIATION, FLASH_BRIGHTNESS_LOG_DEVIATION = 0.24, 0.08, 0.06
 
 
 def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Tensor]:

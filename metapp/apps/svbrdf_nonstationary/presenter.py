@@ -14,12 +14,13 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate
 from typing_extensions import override
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera_position, mean_tilt_degrees, radiance_to_display, unpack_maps
+from metapp.appearance.colour import linear_to_srgb, radiance_to_display, srgb_to_linear
+from metapp.appearance.flash_rendering import camera_position
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings, find_clipped, format_percent
 from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph_maps, scale_relief
+from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees, unpack_maps
 from metapp.appearance.uniform import black_fit_warnings
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import Flash, decode_photo, pool_maps, render_photo

@@ -14,14 +14,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import (
-    BESIDE_LENS_SHARE,
-    FLASH_BRIGHTNESS_LOG_DEVIATION,
-    FLASH_HEIGHT_LOG_DEVIATION,
-    FLASH_OFFSET_HALF_SIDES,
-    camera_distance,
-    unpack_maps,
-)
+from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH_LOG_GAIN,
     FLASH_LOG_HEIGHT,
@@ -31,6 +25,12 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     find_slopes,
     normalise,
     render_photo,
+)
+from metapp.apps.svbrdf_nonstationary.places import (
+    BESIDE_LENS_SHARE,
+    FLASH_BRIGHTNESS_LOG_DEVIATION,
+    FLASH_HEIGHT_LOG_DEVIATION,
+    FLASH_OFFSET_HALF_SIDES,
 )
 from metapp.learning import random_tensors
 

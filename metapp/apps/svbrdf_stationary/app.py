@@ -13,8 +13,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad
 from typing_extensions import override
 
-from metapp.appearance.flash import DISPLAY_GAMMA, STATISTICS_SIDES_PX, Maps, map_statistics, normal_from_height
+from metapp.appearance.colour import DISPLAY_GAMMA
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.highlight import remove_shading
+from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics
 from metapp.apps.exemplar.app import ExemplarApp, PictureChanges, draw_noise, fixed_noise, generate_raw, move_tiles
 from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT

@@ -13,19 +13,13 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 from typing_extensions import override
 
+from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display
 from metapp.appearance.features import amplitude_spectrum, gram, moments, statistics_distance
-from metapp.appearance.flash import (
-    DISPLAY_GAMMA,
-    Maps,
-    camera_position,
-    estimate_flash_position,
-    radiance_to_display,
-    relighting_positions,
-    render_maps,
-    texel_positions,
-)
+from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash_search import estimate_flash_position
 from metapp.appearance.highlight import estimate_gloss, remove_shading, ring_profile
 from metapp.appearance.lattice import even_out_contrast
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.svbrdf_stationary.windows import (
     WINDOW_COUNT,

@@ -14,10 +14,12 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
-from metapp.appearance.flash import Maps, height_from_normal, mean_tilt_degrees, relighting_positions
+from metapp.appearance.flash_rendering import relighting_positions
+from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface, map_pictures, scale_relief
+from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.exemplar.app import fixed_noise
 from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary

@@ -14,9 +14,11 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate
 from typing_extensions import override
 
+from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.features import detail_statistics
-from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height, unpack_maps
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.lattice import remove_quadratic_trend
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.exemplar.app import (
     PictureChanges,
     fixed_noise,
@@ -47,7 +49,7 @@ class QuiltedSvbrdf(SvbrdfStationary):
     """Stationary svBRDFs whose maps a network makes of a quilt of the flash photograph.
 
     A training task may hold `maps` [10, M, M], the true maps over the photograph at its exposure, packed by
-    :func:`metapp.appearance.flash.pack_maps`: the outer loss then compares each texel.
+    :func:`metapp.appearance.svbrdf_maps.pack_maps`: the outer loss then compares each texel.
 
     Attributes:
         network: the generator, which reads quilts.
@@ -239,7 +241,7 @@ def turn_maps(maps: Tensor, is_flipped: Tensor, is_transposed: Tensor, channels:
     """Change packed maps [10, H, W] as the picture over them is changed.
 
     Args:
-        maps: packed by :func:`metapp.appearance.flash.pack_maps`.
+        maps: packed by :func:`metapp.appearance.svbrdf_maps.pack_maps`.
         is_flipped, is_transposed: whether the picture is flipped from left to right, then transposed; bool [].
         channels: the number that each colour channel had before, [3].
     """

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.features import gram, hann_window
-from metapp.appearance.flash import texel_positions
+from metapp.appearance.flash_rendering import texel_positions
 
 WINDOWS_PER_SIDE = 3  # windows along a side, each half as long as the side
 WINDOW_COUNT = WINDOWS_PER_SIDE * WINDOWS_PER_SIDE

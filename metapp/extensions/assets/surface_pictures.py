@@ -26,9 +26,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.colour import linear_to_srgb, stretch_to_unit_range
-from metapp.appearance.flash import Maps, radiance_to_display, relighting_positions, render_maps, texel_positions
+from metapp.appearance.colour import linear_to_srgb, radiance_to_display, stretch_to_unit_range
+from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
 from metapp.appearance.surface import DESCRIPTION_FILE, DIELECTRIC_F0, Surface
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.extensions.assets.planes import SurfaceMap, all_surface_maps, fitted_surface_maps
 from metapp.storage import image_writers
 from metapp.storage.files import to_json_value, write_bytes

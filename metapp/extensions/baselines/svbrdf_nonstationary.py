@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, unpack_maps
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.learning.app import App

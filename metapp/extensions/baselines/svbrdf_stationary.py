@@ -12,10 +12,12 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height
+from metapp.appearance.colour import DISPLAY_GAMMA
+from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.highlight import estimate_gloss, remove_shading
 from metapp.appearance.lattice import subtract_local_mean
 from metapp.appearance.stretch import stretch_to_tile
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits

@@ -7,7 +7,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash import Maps, camera_distance
+from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH_LOG_HEIGHT,
     MIN_ROUGHNESS,

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, texel_positions
+from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.several import newton
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels

@@ -10,7 +10,8 @@ from torch import Generator, Tensor
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp.appearance.flash import Maps, camera_distance, directions_to_point, pack_maps, texel_positions, unpack_maps
+from metapp.appearance.flash_rendering import camera_distance, directions_to_point, texel_positions
+from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as stereo

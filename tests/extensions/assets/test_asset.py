@@ -15,8 +15,8 @@ import torch
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, unpack_maps
 from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.extensions.assets import gltf, materialx, surface_pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
 from metapp.extensions.assets.planes import all_surface_maps, specular_to_metallic

@@ -8,11 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import (
+from metapp.appearance.colour import linear_to_srgb, radiance_to_display
+from metapp.appearance.flash_rendering import (
     camera_position,
     evaluate_brdf,
-    radiance_to_display,
     relighting_positions,
     render_maps,
     texel_positions,

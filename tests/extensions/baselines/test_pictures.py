@@ -10,9 +10,10 @@ from scipy.special import sph_harm_y
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash import Maps, camera_position, relighting_positions
+from metapp.appearance.flash_rendering import camera_position, relighting_positions
 from metapp.appearance.latlong import texel_directions
 from metapp.appearance.quilting import cut_mask
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
-from metapp.appearance.flash import Maps, evaluate_brdf
+from metapp.appearance.flash_rendering import evaluate_brdf
 from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_rusinkiewicz,
     rusinkiewicz_to_directions,
 )
 from metapp.appearance.lobes import CANDIDATE_ALPHAS, VIEWER_NODES, LobeMixture
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.storage.files import read_tensors

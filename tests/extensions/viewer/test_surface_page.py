@@ -11,18 +11,16 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task
-from metapp.appearance.flash import (
-    DISPLAY_GAMMA,
-    Maps,
+from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display
+from metapp.appearance.flash_rendering import (
     camera_distance,
     evaluate_brdf,
-    pack_maps,
-    radiance_to_display,
     relighting_positions,
     render_maps,
     texel_positions,
 )
 from metapp.appearance.surface import Surface
+from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo

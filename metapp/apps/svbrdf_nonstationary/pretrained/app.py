@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions
-from metapp.appearance.flash import Maps, unpack_maps
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, blots
 from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto, photo_loss
 from metapp.apps.svbrdf_nonstationary.maps import (

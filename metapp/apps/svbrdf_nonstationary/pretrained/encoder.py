@@ -18,7 +18,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
 from metapp.appearance.features import load_features, uses_bfloat16, vgg_weights_path
-from metapp.appearance.flash import texel_positions
+from metapp.appearance.flash_rendering import texel_positions
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.apps.svbrdf_nonstationary.encoder import (
     BASE_TEXELS,

@@ -10,8 +10,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.flash import Maps, camera_distance, texel_positions, tilt_sine
+from metapp.appearance.flash_rendering import camera_distance, texel_positions
 from metapp.appearance.highlight import PROFILE_RINGS, ring_profile
+from metapp.appearance.svbrdf_maps import Maps, tilt_sine
 from metapp.apps.svbrdf_nonstationary.maps import encode_roughness
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_dense

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
-from metapp.appearance.flash import DISPLAY_GAMMA, Maps
+from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.highlight import FILL_PX, fill_gaps
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE, Flash, render_photo
 
 COARSE_CELLS = 32  # side of the coarse maps that are compared and filled

@@ -17,7 +17,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, camera_position, unpack_maps
+from metapp.appearance.flash_rendering import camera_position
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,

@@ -15,7 +15,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
 
-from metapp.appearance.flash import directions_to_point, texel_positions
+from metapp.appearance.flash_rendering import directions_to_point, texel_positions
 from metapp.apps.svbrdf_nonstationary.encoder import (
     ENCODER_LEAKY_SLOPE,
     add_block,

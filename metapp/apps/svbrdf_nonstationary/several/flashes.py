@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash import Maps, camera_distance, texel_positions
+from metapp.appearance.flash_rendering import camera_distance, texel_positions
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_LINEAR_VALUE,
     FLASH_LOG_GAIN,

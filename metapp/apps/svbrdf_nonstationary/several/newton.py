@@ -17,7 +17,8 @@ from torch import Tensor
 from torch.nn.functional import softplus
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, texel_positions
+from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,

@@ -8,7 +8,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import camera_distance, unpack_maps
+from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_LOG_GAIN, FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
@@ -22,7 +23,7 @@ PHONE_SHARE = 0.55  # see :func:`handle_photos`
 TILTED_SHARE = 0.6  # share of materials around which the camera is moved, tilted towards them; else it is held above
 MAX_TILT_RAD = math.radians(36)  # largest angle of the direction to the camera with the patch's normal
 MAX_PLACE_ERROR_FACTOR = 1.5  # largest errors of measured places, over the errors that `held_places` draws
-FLASH_OFFSET_HALF_SIDES = 0.05  # standard deviation of the flash of a phone from its lens, along x and y
+PHONE_FLASH_OFFSET_HALF_SIDES = 0.05  # standard deviation of the flash of a phone from its lens, along x and y
 DOME_ELEVATIONS_RAD = math.radians(25), math.radians(75)  # angles of lights with the material
 DOME_DISTANCES, DOME_CAMERA_DISTANCES = (4.0, 20.0), (3.0, 20.0)  # of lights and camera, in half sides
 UNEQUAL_EXPOSURE_SHARE = 0.3  # share of materials whose photographs differ in exposure
@@ -55,7 +56,7 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
 
     cameras, offsets = _draw_cameras(len(maps), count, rng)
     measured = cameras + ~is_steady * MAX_PLACE_ERROR_FACTOR * uniform(1, 1) * offsets
-    beside_lens = FLASH_OFFSET_HALF_SIDES * is_phone * (normal(1, 2) + 0.2 * normal(count, 2))
+    beside_lens = PHONE_FLASH_OFFSET_HALF_SIDES * is_phone * (normal(1, 2) + 0.2 * normal(count, 2))
     flashes = cameras + torch.nn.functional.pad(beside_lens, (0, 1))
     dome, dome_log_exposure = _draw_dome(count, uniform, normal)
     positions, measured_positions = (

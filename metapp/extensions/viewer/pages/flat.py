@@ -14,19 +14,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, normalize
 
-from metapp.appearance.colour import stretch_to_unit_range
-from metapp.appearance.flash import (
-    DISPLAY_GAMMA,
-    Maps,
-    pack_maps,
-    radiance_to_display,
-    relighting_positions,
-    render_maps,
-    texel_positions,
-    unpack_maps,
-)
+from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, stretch_to_unit_range
+from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
 from metapp.appearance.quilting import choose_block_size, quilt_pixel_numbers
 from metapp.appearance.surface import Surface
+from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
@@ -49,7 +41,7 @@ class LitPicture(NamedTuple):
     Attributes:
         light_position: position of the flash, [3].
         camera_position: position of the camera, [3].
-        gain: intensity of the flash, see :func:`metapp.appearance.flash.render_maps`.
+        gain: intensity of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
         photo: the photograph that the picture is compared with, linear [3, H, W] in [0, 1].
         shown_share: share of the maps' side that the picture shows, from the upper left corner; 1 shows all.
     """
@@ -172,7 +164,7 @@ def make_surface_view(
     Args:
         surface: the fit.
         lit_pictures: the pictures that are compared with photographs, or none.
-        falloff: falloff of flashes in pictures, see :func:`metapp.appearance.flash.render_maps`.
+        falloff: falloff of flashes in pictures, see :func:`metapp.appearance.flash_rendering.render_maps`.
         reference: the true maps, if they are known.
         largest: texels a side at most; larger maps are reduced.
 
