@@ -24,14 +24,8 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import (
     field_of,
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
-from metapp.apps.svbrdf_nonstationary.maps import (
-    FLASH_NUMBERS,
-    decode_flash,
-    draw_mirroring_pairs,
-    draw_oblique_pairs,
-    pixel_inputs,
-    render_photo,
-)
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
+from metapp.apps.svbrdf_nonstationary.maps import draw_mirroring_pairs, draw_oblique_pairs, pixel_inputs
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROP_SIDES,
     DIELECTRIC_F0,

@@ -18,10 +18,9 @@ from typing_extensions import override
 
 from metapp.appearance.flash_rendering import render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, map_statistics, unpack_maps
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_LINEAR_VALUE,
-    FLASH_NUMBERS,
-    Flash,
     decode_photo,
     draw_mirroring_pairs,
     draw_oblique_pairs,

@@ -27,18 +27,15 @@ from metapp.apps.svbrdf_nonstationary.app import (
     fixed_pairs,
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_HEIGHT, Flash, decode_flash, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    FLASH_LOG_HEIGHT,
     PIXEL_INPUTS,
-    Flash,
-    decode_flash,
     decode_maps,
     map_differences,
     pixel_inputs,
     pool_maps,
-    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.variants import draw_photos, vary_materials
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -114,8 +111,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        flash = self.flash_of({"flash": theta["flash"][None]})
-        return [Flash(flash.place[0], flash.gain[0], flash.eye.expand(1, 3)[0])]
+        return [self.flash_of(theta)]
 
     def flash_of(self, theta: Params) -> Flash:
         """Return the flashes of fits with parameters [T, ...]."""
@@ -248,7 +244,7 @@ class FromPhoto(CodedMaps):
     @override
     def flash_of(self, theta: Params) -> Flash:
         """Return the flashes of fits with parameters [T, ...]; photographs of the size that people use may be crops."""
-        return decode_flash(self.network.gain * theta["flash"], moves_camera=self.fills)
+        return decode_flash(self.network.gain * theta["flash"], camera="raised" if self.fills else "fixed")
 
     @override
     def fill(self, theta: Params, maps: Maps, photo: Tensor) -> Maps:

@@ -12,7 +12,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
-from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, PIXEL_INPUTS, pixel_inputs
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS
+from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, pixel_inputs
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 

@@ -1,20 +1,19 @@
-"""Maps of a flat material: the numbers that stand for them, how far two are apart, and how they look under a flash.
+"""Maps of a flat material: the unbounded numbers that stand for them, and how far two are apart.
 
-The numbers that fits change are unbounded; `decode_maps` makes maps of them. Nothing here knows of tasks or fits.
+Here are also places of lights and viewers under which maps are compared, and what networks read of photographs.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash_rendering import camera_distance, camera_position, render_maps, texel_positions
+from metapp.appearance.flash_rendering import camera_distance, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.learning.random_tensors import draw_uniform
 
@@ -22,9 +21,6 @@ from metapp.learning.random_tensors import draw_uniform
 CHANNELS = (2, 3, 1, 3)
 ROUGHNESS_CHANNEL = CHANNELS[0] + CHANNELS[1]
 PIXEL_INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
-FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x and y, its height, its gain
-# What 1 of such a number means: half sides of the patch, the log of the height, the log of the gain
-FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
 MIN_ROUGHNESS = 0.05  # the roughness of maps, whose square is alpha of GGX, is not below
 CLIPPED_LINEAR_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
 MIN_NORMAL_Z = 0.2  # z of normals by which slopes stay below 5
@@ -85,53 +81,6 @@ def map_differences(maps: Maps, target: Maps) -> list[Tensor]:
 
 def _encode_gamma(colour: Tensor) -> Tensor:
     return (colour + 1e-3) ** (1 / 2.2)
-
-
-class Flash(NamedTuple):
-    """A flash beside the lens, and the camera's exposure.
-
-    Attributes:
-        place: the position of the flash in half sides of the patch, [T, 3].
-        gain: the intensity of the flash, as :func:`metapp.appearance.flash_rendering.render_maps` takes it, [T, 1].
-        eye: the position of the camera in half sides of the patch, [T, 3] or [3].
-        falloff: power of the cosine of the angle with the flash's axis, which points at the middle of the patch, [] or
-            [T]. It stands for the beam of the flash and the vignetting of the lens.
-    """
-
-    place: Tensor
-    gain: Tensor
-    eye: Tensor
-    falloff: Tensor = torch.zeros(())
-
-
-def decode_flash(flash: Tensor, *, moves_camera: bool = False) -> Flash:
-    """Return the flash that unbounded numbers [T, FLASH_NUMBERS] stand for.
-
-    Zeros stand for a flash beside the lens in whose light a white patch has radiance 1 right below it,
-    whatever its height, since exposure makes up for that.
-
-    Args:
-        flash: the unbounded numbers.
-        moves_camera: whether the camera is as high as the flash, as in crops of photographs and behind longer lenses;
-            else it is at `camera_position`.
-    """
-    height_factor = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
-    place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * height_factor], 1)
-    eye = camera_position(dtype=flash.dtype, device=flash.device)
-    eye = eye * height_factor if moves_camera else eye
-    return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * height_factor * height_factor, eye)
-
-
-def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
-    """Return the radiance [T, 3, H, W] of maps [T, C, H, W] under a flash.
-
-    Maps of a part of the patch come with the positions of their texels, `place` [T, 2, H, W].
-    """
-    diffuse = maps.diffuse
-    if place is None:
-        place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
-    falloff = flash.falloff.to(flash.place)  # its default is on the CPU
-    return render_maps(maps, place, flash.place, flash.eye, intensity=flash.gain, falloff=falloff, axis=-flash.place)
 
 
 def draw_oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:

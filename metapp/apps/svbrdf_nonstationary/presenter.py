@@ -23,7 +23,8 @@ from metapp.appearance.surface import Surface, map_pictures, photograph_maps, sc
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees, unpack_maps
 from metapp.appearance.uniform import black_fit_warnings
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import Flash, decode_photo, pool_maps, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
 from metapp.learning.task import Params, Task, Tasks
 
 LARGEST_PX = 4096  # longest side of maps in files

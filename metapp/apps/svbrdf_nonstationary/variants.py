@@ -16,16 +16,15 @@ from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolat
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash_rendering import camera_distance
 from metapp.appearance.svbrdf_maps import unpack_maps
-from metapp.apps.svbrdf_nonstationary.maps import (
+from metapp.apps.svbrdf_nonstationary.flashes import (
     FLASH_LOG_GAIN,
     FLASH_LOG_HEIGHT,
     FLASH_NUMBERS,
     FLASH_SHIFT,
     decode_flash,
-    find_slopes,
-    normalise,
     render_photo,
 )
+from metapp.apps.svbrdf_nonstationary.maps import find_slopes, normalise
 from metapp.apps.svbrdf_nonstationary.places import (
     BESIDE_LENS_SHARE,
     FLASH_BRIGHTNESS_LOG_DEVIATION,
@@ -82,7 +81,7 @@ def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
     stops = MAX_EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < MISEXPOSED_SHARE)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / FLASH_LOG_GAIN]) * stops
     tint = torch.exp(TINT_LOG_DEVIATION * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
-    radiance = render_photo(unpack_maps(maps), decode_flash(flash, moves_camera=True))
+    radiance = render_photo(unpack_maps(maps), decode_flash(flash, camera="raised"))
     display = linear_to_srgb((tint * radiance).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
-from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.learning.app import App
 from metapp.learning.task import Tasks

@@ -9,13 +9,8 @@ from torch.nn.functional import interpolate
 
 from metapp.appearance.flash_rendering import camera_distance
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.maps import (
-    FLASH_LOG_HEIGHT,
-    MIN_ROUGHNESS,
-    decode_flash,
-    encode_roughness,
-    render_photo,
-)
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_HEIGHT, decode_flash, render_photo
+from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, encode_roughness
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     describe_highlight,
@@ -48,7 +43,7 @@ def marble(roughness: float, seed: int, aside: float = 0.0, height: float = came
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(diffuse, 0.04 * ones.expand(-1, 3, -1, -1), roughness * ones, up)
     log_height = math.log(height / camera_distance()) / FLASH_LOG_HEIGHT
-    flash = decode_flash(torch.tensor([[aside, 0.5 * aside, log_height, 0.0]]), moves_camera=True)
+    flash = decode_flash(torch.tensor([[aside, 0.5 * aside, log_height, 0.0]]), camera="raised")
     return render_photo(maps, flash).clamp(0, 1)
 
 

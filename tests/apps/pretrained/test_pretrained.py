@@ -11,7 +11,8 @@ from torch import Generator, Tensor
 from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto, photo_loss
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photo
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, pixel_inputs
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FULL_SHARE, HALVED_SLOPE, SLOPE_GAIN, FromFeatures
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several import integrability, newton
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
@@ -14,7 +15,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,
 )
-from metapp.apps.svbrdf_nonstationary.several.flashes import LIGHT_FLOOR, decode_flashes, render_photos
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
@@ -43,7 +44,7 @@ def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
     rng = Generator().manual_seed(seed)
     true = 0.4 * torch.randn(1, sum(CHANNELS), SIDE, SIDE, generator=rng, dtype=torch.float64)
     places = PLACES.double()[None, :, None].expand(1, COUNT, 2, 3)
-    photos = render_photos(decode_maps(true), decode_flashes(true.new_zeros(1, FLASH_NUMBERS, COUNT), places))
+    photos = render_photos(decode_maps(true), decode_flash(true.new_zeros(1, COUNT, FLASH_NUMBERS), places))
     maps = true + off * torch.randn(true.shape, generator=rng, dtype=torch.float64)
     flash = 0.2 * off * torch.randn(1, FLASH_NUMBERS, COUNT, generator=rng, dtype=torch.float64)
     prior = torch.cat([maps + 0.1, torch.zeros_like(maps)], 1)
@@ -70,7 +71,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
 
     def logs(flat: Tensor) -> Tensor:
         maps, flash = flat[texels].view_as(theta["maps"]), flat[flashes].view_as(theta["flash"])
-        lit = render_photos(decode_maps(maps), decode_flashes(flash, batch["places"], flat[-1:, None]))
+        lit = render_photos(decode_maps(maps), decode_flash(flash.mT, batch["places"], flat[-1:, None], camera="held"))
         return (lit + LIGHT_FLOOR).log().flatten()
 
     def dense(flash: Tensor, falloff: Tensor) -> tuple[Tensor, Tensor]:
@@ -110,7 +111,7 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     weak = settings(SETTINGS | {"prior": 1e-9, "curl": 1e-9})
 
     def worst(theta: Params) -> float:
-        flashes = decode_flashes(theta["flash"], batch["places"], theta["falloff"])
+        flashes = decode_flash(theta["flash"].mT, batch["places"], theta["falloff"], camera="held")
         lit = render_photos(decode_maps(theta["maps"]), flashes)
         return float((lit - batch["photos"]).abs().max())
 
@@ -140,7 +141,7 @@ def test_priors_weigh_more_where_photographs_are_noisier_than_weights_hold_for(n
 @pytest.mark.parametrize("true_falloff", [0.0, 1.5])
 def test_fall_off_of_flashes_is_found(true_falloff: float) -> None:
     theta, batch, true = problem(0.1)
-    flashes = decode_flashes(torch.zeros_like(theta["flash"]), batch["places"], true_falloff)
+    flashes = decode_flash(torch.zeros_like(theta["flash"]).mT, batch["places"], true_falloff)
     batch["photos"] = render_photos(decode_maps(true), flashes)
     weak = settings(SETTINGS | {"prior": 1e-9})
     for _ in range(12):
@@ -169,7 +170,7 @@ def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None
     """Where photographs and General's prior agree with the maps, curls are left."""
     theta, batch, _ = problem()
     theta |= {key: torch.zeros_like(theta[key]) for key in ("flash", "falloff")}
-    batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
+    batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flash(theta["flash"].mT, batch["places"]))
     theta["prior"][:, : sum(CHANNELS)] = theta["maps"]
     maps = theta["maps"].clone().requires_grad_()
     (gradient,) = torch.autograd.grad(app.loss(theta | {"maps": maps}, batch, settings()).sum(), maps)

@@ -9,10 +9,9 @@ from torch import Tensor
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.several import newton
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
-from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -78,7 +77,7 @@ def test_highlights_of_polished_stone_stay(roughness: float) -> None:
     normal = torch.zeros(1, 3, SIDE, SIDE)
     normal[:, 2] = 1
     stone = Maps(veins, torch.full_like(veins, 0.04), torch.full_like(veins[:, :1], roughness), normal)
-    flashes = decode_flashes(torch.zeros(1, FLASH_NUMBERS, len(places)), places[None])
+    flashes = decode_flash(torch.zeros(1, len(places), FLASH_NUMBERS), places[None])
     photos = render_photos(stone, flashes)[0].clamp(0, 1)
     assert (photos.amax((1, 2, 3)) > 2 * photos.mean((1, 2, 3))).any()  # highlights are seen
     filled, material = remove_obstructions(photos, places)

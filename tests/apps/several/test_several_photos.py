@@ -12,7 +12,8 @@ from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash_rendering import camera_distance, directions_to_point, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
 from metapp.apps.svbrdf_nonstationary.several.app import (
@@ -20,7 +21,6 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     Texels,
     _encode_maps,
 )
-from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
 from metapp.learned_rules import rule_of
@@ -79,8 +79,8 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     wi, squared = directions_to_point(places[:, :, 1], texel_positions(32, 32))
     white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared
-    flash = torch.zeros(1, FLASH_NUMBERS, 5)
-    brightness = render_photos(maps, decode_flashes(flash, places)).mean(2, keepdim=True) / white
+    flash = torch.zeros(1, 5, FLASH_NUMBERS)
+    brightness = render_photos(maps, decode_flash(flash, places)).mean(2, keepdim=True) / white
     expected = maps.normal[:, :2] / maps.normal[:, 2:]
     ones = torch.ones_like(brightness)
     level, slopes, _, unknown = stereo.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], ones, 0 * ones)
@@ -89,7 +89,7 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     assert ((slopes - expected).abs() < bound).all()
     body = maps.diffuse.mean(1, keepdim=True) * maps.normal[:, 2:]
     torch.testing.assert_close(level, body, rtol=0.03, atol=0)
-    reading = stereo.read_photos(render_photos(maps, decode_flashes(flash, places)), places)
+    reading = stereo.read_photos(render_photos(maps, decode_flash(flash, places)), places)
     cosine = torch.nn.functional.cosine_similarity(reading.maps[:, :2].flatten(), expected.flatten(), 0)
     assert float(cosine) > 0.98  # exposures and lobes are looked for, too
 
@@ -97,7 +97,7 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
 def test_exposures_of_photographs_are_solved() -> None:
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
-    photos = 0.5 * render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places))
+    photos = 0.5 * render_photos(maps, decode_flash(torch.zeros(1, 5, FLASH_NUMBERS), places))
     plain, changed = (
         stereo.read_photos(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
     )
@@ -187,30 +187,13 @@ def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPho
         maps = relief(SIDE)._replace(specular=torch.full((1, 3, SIDE, SIDE), 0.04))
         maps = maps._replace(roughness=torch.full((1, 1, SIDE, SIDE), roughness))
         places = PLACES[:, None].expand(5, 2, 3)
-        photos = (render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places[None]))[0]).clamp(0, 1)
+        photos = (render_photos(maps, decode_flash(torch.zeros(1, 5, FLASH_NUMBERS), places[None]))[0]).clamp(0, 1)
         known = pack_maps(Maps(*(part[0] for part in maps)))
         shown = (photos.clamp_min(0) ** (1 / 2.2) * 255).round().to(torch.uint8)
         task = make_svbrdf_task("relief", known, photo=shown[0])
         tasks = stack_tasks(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
         found = decode_maps(app.task_parameters(tasks)["maps"]).roughness
         assert float((found - roughness).abs().max()) < 0.12
-
-
-def test_camera_and_flash_move_together() -> None:
-    places = torch.tensor([[[[0.1, 0.2, 3.0], [0.3, 0.2, 2.0]]]])
-    flash = torch.zeros(1, FLASH_NUMBERS, 1)
-    given = decode_flashes(flash, places)
-    torch.testing.assert_close(torch.stack([given.eye, given.place], 2), places)
-    moved = decode_flashes(flash + torch.tensor([1.0, -1.0, 0.5, 0.0])[:, None], places)
-    for before, after in ((given.eye, moved.eye), (given.place, moved.place)):
-        torch.testing.assert_close(after[..., :2] - before[..., :2], torch.tensor([[[0.3, -0.3]]]))
-        torch.testing.assert_close(after[..., 2] / before[..., 2], torch.tensor([[0.1]]).exp())
-    white = Maps(
-        torch.ones(1, 3, 33, 33), torch.zeros(1, 3, 33, 33), torch.ones(1, 1, 33, 33), torch.zeros(1, 3, 33, 33)
-    )
-    white.normal[:, 2] = 1
-    above = decode_flashes(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
-    assert float(render_photos(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
 
 
 def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: SeveralPhotos, tasks: Tasks) -> None:
@@ -248,7 +231,7 @@ def test_nearly_flat_surfaces_and_unexplained_photographs_are_said(
     stacked, maps = tasks.select([0]), truth(tasks.select([0]))
     maps[:, :2] = slope * torch.randn(maps[:, :2].shape, generator=Generator().manual_seed(0))
     theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
-    photos = render_photos(decode_maps(maps), decode_flashes(theta["flash"], stacked.data["places"])).clamp(0, 0.9)
+    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, stacked.data["places"])).clamp(0, 0.9)
     dimmed = photos.clone()
     dimmed[:, 1, :, :, : SIDE // 2] *= 0.5
     for shown, is_unexplained in ((photos, False), (dimmed, True)):
@@ -263,7 +246,7 @@ def test_photographs_that_differ_from_texel_to_texel_are_said(
 ) -> None:
     stacked, maps = tasks.select([0]), truth(tasks.select([0]))
     theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
-    photos = render_photos(decode_maps(maps), decode_flashes(theta["flash"], stacked.data["places"])).clamp(0, 0.9)
+    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, stacked.data["places"])).clamp(0, 0.9)
     # a chequered change, which the means over wide areas do not see
     signs = 1 - 2 * (torch.arange(SIDE)[:, None] + torch.arange(SIDE)).remainder(2)
     changed = replace(stacked, data=stacked.data | {"photos": photos * (1 + noise * signs)})
@@ -293,7 +276,7 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
     for photos, of in ((decode_photo(five.data["others"]), places[1:]), (drawn[0, 1:], measured[0, 1:])):
 
         def off(place: Tensor, photos: Tensor = photos) -> Tensor:
-            seen = render_photos(unpack_maps(maps), decode_flashes(torch.zeros(1, FLASH_NUMBERS, 4), place[None]))[
+            seen = render_photos(unpack_maps(maps), decode_flash(torch.zeros(1, 4, FLASH_NUMBERS), place[None]))[
                 0
             ].clamp(0, 1)
             return (seen - photos).abs().mean((1, 2, 3))

@@ -15,7 +15,7 @@ from metapp.appearance.latlong import texel_directions
 from metapp.appearance.quilting import cut_mask
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.app import JUDGED_PICTURES
-from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import BaselineFit, CostLimits

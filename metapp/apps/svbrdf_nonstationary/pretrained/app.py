@@ -17,13 +17,13 @@ from metapp.appearance.features import feature_conditions
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, blots
 from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto, photo_loss
+from metapp.apps.svbrdf_nonstationary.flashes import render_photo
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     ROUGHNESS_CHANNEL,
     decode_maps,
     map_differences,
     pixel_inputs,
-    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (

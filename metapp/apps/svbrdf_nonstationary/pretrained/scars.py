@@ -13,7 +13,8 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.highlight import FILL_PX, fill_gaps
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE, Flash, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE
 
 COARSE_CELLS = 32  # side of the coarse maps that are compared and filled
 MIN_TRUST = 1e-4  # for photographs that are clipped all over

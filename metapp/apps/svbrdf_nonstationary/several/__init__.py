@@ -1,8 +1,8 @@
 """Non-stationary svBRDFs from several flash photographs with the places of camera and flash: the recipe `several`.
 
 `parallax` finds heights, and moves photographs such that all show each point at one texel; `encoder` has General,
-photometric stereo in closed form and a network that corrects it, for photographs in any order; `app` has fits, maps of
-each texel and the flash of each photograph (`flashes`) with General's maps as a prior; `newton` the rule
-`gauss-newton`, `integrability` how its steps keep the slopes of neighbouring texels those of one surface; `photo_sets`
-and `handling` draw the photographs that training sees; `recipe` has the recipe.
+photometric stereo in closed form and a network that corrects it, for photographs in any order; `flash_gains` finds how
+bright each flash is; `app` has fits, maps of each texel and the flash of each photograph with General's maps as a
+prior; `newton` the rule `gauss-newton`, `integrability` how its steps keep the slopes of neighbouring texels those of
+one surface; `photo_sets` and `handling` draw the photographs that training sees; `recipe` has the recipe.
 """

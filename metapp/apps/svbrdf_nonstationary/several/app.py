@@ -20,12 +20,11 @@ from typing_extensions import override
 from metapp.appearance.flash_rendering import camera_position
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    FLASH_NUMBERS,
     MIN_ROUGHNESS,
-    Flash,
     decode_maps,
     decode_photo,
     encode_roughness,
@@ -34,12 +33,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pool_maps,
 )
 from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
-from metapp.apps.svbrdf_nonstationary.several.flashes import (
-    decode_flashes,
-    estimate_flashes,
-    log_radiance,
-    render_photos,
-)
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes, log_radiance
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.several.parallax import Heights, find_heights, remove_parallax
@@ -197,9 +191,8 @@ class SeveralPhotos(SvbrdfNonstationary):
         """
         parameters = self.settings(loss_parameters, theta["maps"])
         photos = batch["photos"]
-        residual = log_radiance(photos) - log_radiance(
-            render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
-        )
+        flashes = decode_flash(theta["flash"].mT, batch["places"], theta["falloff"], camera="held")
+        residual = log_radiance(photos) - log_radiance(render_photos(decode_maps(theta["maps"]), flashes))
         residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
         residual = residual * batch.get("unobstructed", 1)
         loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
@@ -336,7 +329,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             raise ValueError(f"{task.name}: a fit with {counts}; fit anew.")
         # Fits that were saved before flashes had a fall-off have none.
         falloff = theta.get("falloff", theta["flash"].new_zeros(1))
-        flash = decode_flashes(theta["flash"][None], places, falloff[None])
+        flash = decode_flash(theta["flash"][None].mT, places, falloff[None], camera="held")
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
 

@@ -19,20 +19,14 @@ from typing_extensions import override
 
 from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.maps import (
-    CHANNELS,
-    CLIPPED_LINEAR_VALUE,
-    FLASH_NUMBERS,
-    ROUGHNESS_CHANNEL,
-    decode_maps,
-    render_photo,
-)
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo, render_photos
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
     FALLOFF_WEIGHT,
     SeveralPhotos,
 )
-from metapp.apps.svbrdf_nonstationary.several.flashes import LIGHT_FLOOR, decode_flashes, render_photos
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -223,7 +217,7 @@ def _expect_noise(theta: Params, batch: Batch, settings: Params) -> Params:
     prior's maps: where these are far off, as of polished metal, the first steps leave much, too.
     """
     maps = decode_maps(theta["prior"].chunk(2, 1)[0])
-    renderings = render_photos(maps, decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
+    renderings = render_photos(maps, decode_flash(theta["flash"].mT, batch["places"], theta["falloff"], camera="held"))
     photos = batch["photos"]
     residual = ((renderings + LIGHT_FLOOR).log() - (photos + LIGHT_FLOOR).log()).flatten(1)
     is_counted = (batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0).expand_as(photos).flatten(1)
@@ -277,7 +271,7 @@ def _render_lobes(maps: Tensor, flashes: FlashNumbers, places: Tensor, texels: T
     diffuse_colour = maps.new_tensor([1.0, 0.0])[:, None, None]
     specular_colour = diffuse_colour.flip(0)
     surface = Maps(diffuse_colour, specular_colour, material.roughness[:, None], material.normal[:, None])
-    return render_photo(surface, decode_flashes(flash, places, falloff), texels)
+    return render_photo(surface, decode_flash(flash.mT, places, falloff, camera="held"), texels)
 
 
 def _combine_lobes(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:

@@ -10,9 +10,8 @@ from torch import Generator, Tensor
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash_rendering import camera_distance
 from metapp.appearance.svbrdf_maps import unpack_maps
-from metapp.apps.svbrdf_nonstationary.maps import FLASH_LOG_GAIN, FLASH_NUMBERS
+from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_GAIN, FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.places import held_places
-from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.handling import develop_photos, handle_photos
 from metapp.apps.svbrdf_nonstationary.variants import Draw, draws_per_material
 
@@ -69,12 +68,10 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
         EQUAL_EXPOSURE_LOG_DEVIATION * normal(count),
     )
     log_exposure = torch.where(is_rig[..., 0], 0, torch.where(is_dome[..., 0], dome_log_exposure, log_exposure))
-    numbers = torch.cat(
-        [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
-    )
+    numbers = torch.nn.functional.pad(log_exposure[..., None] / FLASH_LOG_GAIN, (FLASH_NUMBERS - 1, 0))
 
     material = unpack_maps(maps)
-    radiance = render_photos(material, decode_flashes(numbers, positions))
+    radiance = render_photos(material, decode_flash(numbers, positions, camera="held"))
     is_phone, is_steady = (chosen[..., None, None] for chosen in (is_phone, is_steady))
     radiance = torch.where(is_phone, handle_photos(radiance, material, cameras, rng), radiance)
     display = linear_to_srgb(radiance.clamp(0, 1))
