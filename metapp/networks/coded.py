@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.learning.app import App
+from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regrid
 
@@ -110,5 +111,4 @@ def smooth_absolute(difference: Tensor, loss_parameters: Params) -> Tensor:
     """
     if not loss_parameters:
         return difference.abs()
-    smoothing = torch.exp(loss_parameters["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
-    return (difference * difference + smoothing * smoothing).sqrt() - smoothing
+    return round_absolute(difference, torch.exp(loss_parameters["smoothing"]))

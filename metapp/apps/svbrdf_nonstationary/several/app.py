@@ -39,7 +39,7 @@ from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstruc
 from metapp.apps.svbrdf_nonstationary.several.parallax import Heights, find_heights, remove_parallax
 from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
 from metapp.apps.svbrdf_nonstationary.variants import vary_materials
-from metapp.learning.rules import append_axes
+from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 # Initial values of the loss parameters that a rule may learn
@@ -195,14 +195,14 @@ class SeveralPhotos(SvbrdfNonstationary):
         residual = log_radiance(photos) - log_radiance(render_photos(decode_maps(theta["maps"]), flashes))
         residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
         residual = residual * batch.get("unobstructed", 1)
-        loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
+        loss = round_absolute(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + parameters["flash"].exp() * theta["flash"][:, :-1].square().mean((1, 2))
         loss = loss + FALLOFF_WEIGHT * theta["falloff"].square().mean(1)
         if "prior" in theta:
             mean, log_scale = theta["prior"].detach().chunk(2, 1)
-            distances = _round_off((theta["maps"] - mean) * (-log_scale).exp(), photos.new_ones(())).mean((2, 3))
+            distances = round_absolute((theta["maps"] - mean) * (-log_scale).exp(), photos.new_ones(())).mean((2, 3))
             priors = (distances * parameters["prior"].exp()).sum(1)
-            curls = _round_off(find_curl(theta["maps"][:, : CHANNELS[0]]), photos.new_tensor(CURL_ROUNDING))
+            curls = round_absolute(find_curl(theta["maps"][:, : CHANNELS[0]]), photos.new_tensor(CURL_ROUNDING))
             texel_count = photos.shape[-2] * photos.shape[-1]
             priors = priors + curls.sum((1, 2)) / texel_count * parameters["curl"].exp()
             # The more photographs there are, the less priors count beside their mean.
@@ -371,12 +371,6 @@ def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:
     """Average photographs [T, N, 3, H, W] over areas to another size."""
     pooled: Tensor = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
     return pooled
-
-
-def _round_off(difference: Tensor, rounding: Tensor) -> Tensor:
-    """Return sqrt(d^2 + s^2) - s for a difference d [T, ...] and its rounding s [T] or []: |d|, rounded off below s."""
-    rounding = append_axes(rounding, difference)
-    return (difference * difference + rounding * rounding).sqrt() - rounding
 
 
 def _encode_maps(maps: Maps) -> Tensor:
