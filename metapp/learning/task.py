@@ -39,6 +39,15 @@ class Task(NamedTuple):
     note: str = ""
 
 
+def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors, such as the parameters of one fit or the data of one task, with a task axis of one entry.
+
+    >>> add_task_axis({"target": torch.zeros(3, 8)})["target"].shape
+    torch.Size([1, 3, 8])
+    """
+    return {name: tensor[None] for name, tensor in tensors.items()}
+
+
 class LeastSquares(NamedTuple):
     """A weighted least-squares problem near a loss, in a parameter W [T, C, F] that the network is linear in.
 

@@ -48,7 +48,9 @@ def export(app: Curve, theta: Params, path: Path) -> None:
     """Write x and y of a fit as <path>.csv, a line a sample."""
     import torch
 
-    parameters = {key: value[None] for key, value in theta.items()}
+    from metapp.learning.task import add_task_axis
+
+    parameters = add_task_axis(theta)
     x = torch.linspace(-1, 1, 32)
     rows = zip(x.tolist(), app.value(parameters, x[None, None])[0, 0].tolist(), strict=True)
     lines = ["x,y", *(f"{x:.6g},{y:.6g}" for x, y in rows)]

@@ -8,7 +8,7 @@ from typing_extensions import override
 
 from metapp.appearance.pictures import Picture
 from metapp.appearance.presenter import Presenter
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Params, Task, add_task_axis
 from metapp_curve.app import SAMPLES, Curve
 
 
@@ -18,7 +18,7 @@ class CurvePresenter(Presenter[Curve]):
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Draw the curve and its fit, dark on white."""
-        parameters = {key: value[None] for key, value in theta.items()}
+        parameters = add_task_axis(theta)
         fitted = self.app.value(parameters, torch.linspace(-1, 1, SAMPLES)[None, None])[0, 0]
         return {"reference": plot(task.data["y"].float()), "fit": plot(fitted)}
 

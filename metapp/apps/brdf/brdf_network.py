@@ -14,7 +14,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_and_cosine
-from metapp.learning.task import Batch, Params, Tasks
+from metapp.learning.task import Batch, Params, Tasks, add_task_axis
 from metapp.registry import registry
 
 COUNT_KEY = "count"  # tensor of tasks and batches, [T]: the number of different samples that a fit sees, the first ones
@@ -121,7 +121,7 @@ class BrdfNetwork(ABC):
         Returns:
             Linear RGB in 1/sr, [..., 3], >= 0.
         """
-        batched = {key: value[None] for key, value in theta.items()}
+        batched = add_task_axis(theta)
         rows = angles.reshape(-1, angles.shape[-1])
         where = half_difference_and_cosine(rows if self.anisotropic else rows[:, :3])
         return self.reflectance(batched, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)

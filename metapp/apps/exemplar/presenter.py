@@ -22,7 +22,7 @@ from metapp.appearance.stretch import MIN_STRETCH_SCORE
 from metapp.appearance.uniform import collapsed_fit_warnings
 from metapp.apps.exemplar.app import ExemplarApp, fixed_noise, noise_channels
 from metapp.learning.random_tensors import draw_normal
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.networks.quilted import copied_share, repeated_share, seam_strength
 
 MIN_ORDER_SHARE = 0.5  # share of an exemplar's order below which a picture has lost it; quilting keeps 0.68 to 1.0
@@ -81,7 +81,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         Returns:
             What `make` returns.
         """
-        batch = {key: value[None] for key, value in theta.items()}
+        batch = add_task_axis(theta)
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), noise_channels(self.app)
         return make(batch, draw_normal(rng, 1, 1, channels, *(size or self.app.octaves.octave_size())))
 

@@ -6,7 +6,6 @@ Maps are shown as the application's prediction, at a mean luminance of 1; files 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -22,7 +21,7 @@ from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_rema
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.mirror import scale_to_seen, shows_mirror
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.rendering.second_scene import relighting
 
 LARGEST_MAP_ROWS = 1024  # rows of the file of a map, at most
@@ -161,11 +160,6 @@ class IlluminationPresenter(Presenter[Illumination]):
         if self.app.observes == "photo":
             return VisibleData(1, task.data["photos"][0].nbytes, 1)
         return VisibleData(1, task.data["map"].nbytes, 0)
-
-
-def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return tensors with a leading task axis of one entry."""
-    return {key: value[None] for key, value in tensors.items()}
 
 
 def file_map(app: Illumination, theta: Params, task: Task) -> Tensor:

@@ -29,7 +29,7 @@ CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that
 
 
 def decode_maps(raw: Tensor) -> Maps:
-    """Return the maps [T, C, H, W] that unbounded numbers [T, 9, H, W] stand for."""
+    """Return the maps [T, C, H, W] that unbounded numbers [T, 9, H, W] stand for; inverts :func:`encode_maps`."""
     slopes, diffuse, roughness, specular = raw.split(CHANNELS, 1)
     return Maps(
         torch.sigmoid(diffuse) ** 2.2,  # so that outputs are about evenly spread for the eye
@@ -39,8 +39,25 @@ def decode_maps(raw: Tensor) -> Maps:
     )
 
 
+def encode_maps(maps: Maps) -> Tensor:
+    """Return the unbounded numbers [T, 9, H, W] that stand for maps [T, C, H, W]; inverts :func:`decode_maps`.
+
+    Ends of ranges, which no number stands for, are moved inwards: colours by 2 % in steps that look even, see
+    :func:`decode_maps`, roughness by 1 %. Normals whose z is below 0.1 become less steep.
+    """
+    slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)
+    # `decode_maps` subtracts 2 from the numbers of the specular colour, so that 0 stands for a dielectric.
+    specular = torch.logit(maps.specular.clamp(1e-4, 1).sqrt().clamp(0.02, 0.98)) + 2
+    return torch.cat([slopes, encode_diffuse(maps.diffuse), encode_roughness(maps.roughness), specular], 1)
+
+
+def encode_diffuse(diffuse: Tensor) -> Tensor:
+    """Return the unbounded numbers of a diffuse colour of any shape; see :func:`encode_maps`."""
+    return torch.logit((diffuse.clamp(1e-4, 1) ** (1 / 2.2)).clamp(0.02, 0.98))
+
+
 def encode_roughness(roughness: Tensor) -> Tensor:
-    """Return the unbounded numbers of a roughness: the inverse of `decode_maps`, but for 1 % at both ends."""
+    """Return the unbounded numbers of a roughness of any shape; see :func:`encode_maps`."""
     return torch.logit(((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).clamp(0.01, 0.99))
 
 

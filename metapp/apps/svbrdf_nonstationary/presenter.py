@@ -25,7 +25,7 @@ from metapp.appearance.uniform import black_fit_warnings
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
 LARGEST_PX = 4096  # longest side of maps in files
 SHOWN_PX = 256  # longest side of maps that are shown
@@ -116,8 +116,8 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         """Return the renderings that errors are of, as displays of gamma 2.2 show them."""
         if "maps" not in task.data:
             return None
-        data = {key: value[None] for key, value in self.app.prepare(task).items()}
-        fitted_maps = self.app.final_maps(_add_task_axis(theta), data["photo"])
+        data = add_task_axis(self.app.prepare(task))
+        fitted_maps = self.app.final_maps(add_task_axis(theta), data["photo"])
         log_pictures = (self.app.judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(data["maps"])))
         return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in log_pictures))
 
@@ -130,7 +130,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         flashes = self.app.flashes(theta, task)
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
         photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
-        maps = self.app.final_maps(_add_task_axis(theta), photos[:1])
+        maps = self.app.final_maps(add_task_axis(theta), photos[:1])
         pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
         return PictureComparison(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
 
@@ -144,7 +144,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         counts = {"counts": {"photos": self._photo_count(task)}} if self.app.several_photos else {}
         if self.app.observes != "photo":
             return counts
-        maps = self.app.maps_of(_add_task_axis(theta), _small_photo(task))
+        maps = self.app.maps_of(add_task_axis(theta), _small_photo(task))
         return {"mean_tilt_degrees": mean_tilt_degrees(maps.normal)} | counts
 
     @override
@@ -185,7 +185,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def _warn_of_several(self, theta: Params, data: Mapping[str, Tensor], row: Tensor) -> list[str]:
         """Return the clauses on a fit of several photographs, without task axis, whose data are in a row of `data`."""
         photos, shows_material = data["photos"][row], data["unobstructed"][row]
-        maps = self.app.maps_of(_add_task_axis(theta), photos[:1])
+        maps = self.app.maps_of(add_task_axis(theta), photos[:1])
         flashes = self.app.flashes(theta, Task("", {"places": data["places"][row]}))
         renderings = torch.stack([_photograph_by(flash, maps) for flash in flashes])
         return [
@@ -210,7 +210,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def _small_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, h, w] of at most SHOWN_PX a side, as fitted, and the linear photograph [1, 3, h, w]."""
         photo = _small_photo(task)
-        return Maps(*(part[0] for part in self.app.final_maps(_add_task_axis(theta), photo))), photo
+        return Maps(*(part[0] for part in self.app.final_maps(add_task_axis(theta), photo))), photo
 
     def _shown_maps(self, theta: Params, task: Task) -> Maps:
         """Return the maps [C, H, W] of the size of files, as fitted."""
@@ -218,7 +218,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         def make() -> Maps:
             photo = _resize_photo(task, side)
-            fits = _add_task_axis(theta)
+            fits = add_task_axis(theta)
             return self.app.fill(fits, self.app.fine_maps(fits, photo), photo)
 
         maps = self.cache_last(theta, task, make)
@@ -270,11 +270,6 @@ def _left_out_warnings(shares: Sequence[float]) -> list[str]:
     """Return a clause on the parts of photographs that were left out, given their shares; [] where none was."""
     parts = [f"{format_percent(share)} of photo {number}" for number, share in enumerate(shares, 1) if share]
     return [f"{' and '.join(parts)} left out, where others disagree: an object or a shadow?"] if parts else []
-
-
-def _add_task_axis(theta: Params) -> Params:
-    """Return the parameters of one fit with a task axis of one entry."""
-    return {key: value[None] for key, value in theta.items()}
 
 
 def _resize_photo(task: Task, side: int) -> Tensor:

@@ -25,7 +25,7 @@ from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
 # Strength of a picture's lines over the photo's. Chosen by fits of 39 photographs that were graded by eye; on every
 # other one of them, all 7 intact materials are above 0.89.
@@ -124,7 +124,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     def _draw_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, H, W] and height [1, H, W] in texels at the size of files."""
         if isinstance(self.app, QuiltedSvbrdf):
-            return self.app.draw_maps({key: value[None] for key, value in theta.items()}, task, self.size)
+            return self.app.draw_maps(add_task_axis(theta), task, self.size)
         return self._generate_material(theta, self.picture_size)
 
     def _generate_material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:

@@ -17,7 +17,7 @@ from metapp.appearance.surface import Surface
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.quilted import QuiltedTexture
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Params, Task, add_task_axis
 
 # Strength of a texture's lines over the exemplar's, below which lines are broken. Of fits of 66 photographs five are
 # below it, one of which has lost the seam of a pair of jeans; of 33 of the photographs that were torn into blocks of 16
@@ -68,7 +68,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
         def make() -> Tensor:
             if isinstance(self.app, QuiltedTexture):
-                return self.app.draw_tile({key: value[None] for key, value in theta.items()}, task, self.size)
+                return self.app.draw_tile(add_task_axis(theta), task, self.size)
             return self.generate_shown(theta, self.app.generate, self.picture_size)[0, 0]
 
         return self.cache_last(theta, task, make)

@@ -11,7 +11,7 @@ from torch import Tensor
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.apps.transport.flow import DIRECTION_COORDINATES, Flow
 from metapp.apps.transport.guide import make_guide_table
-from metapp.learning.task import Params
+from metapp.learning.task import Params, add_task_axis
 
 # cells along a side of the film, parts along it, and cells along a side of each part's directions
 FILM_CELLS, FILM_PARTS, DIRECTION_CELLS = 32, 4, 16
@@ -46,7 +46,7 @@ def draw_flow_density(flow: Flow, theta: Params, scene: Tensor | None = None) ->
     middles = (torch.arange(FILM_CELLS) + 0.5) / FILM_CELLS
     y, x = (coordinates.flatten() for coordinates in torch.meshgrid(middles, middles, indexing="ij"))
     points = torch.stack([x, y, *[torch.full_like(x, 0.5)] * DIRECTION_COORDINATES])[None]
-    batched = {key: value[None] for key, value in theta.items()}
+    batched = add_task_axis(theta)
     film = flow.log_density(batched, points)[0].exp().reshape(FILM_CELLS, FILM_CELLS)
     masses = make_guide_table(flow, theta, FILM_CELLS, DIRECTION_CELLS, power=1.0).masses
     cells_of_part = FILM_CELLS // FILM_PARTS

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.apps.transport import spline
 from metapp.apps.transport.flow import Flow
-from metapp.learning.task import Params
+from metapp.learning.task import Params, add_task_axis
 
 GUIDE_PLACES, GUIDE_CELLS = 32, 32  # places along a side of the film, and cells along a side of each one's directions
 DENSITY_POWER = 0.5  # the power of the flow's density that guides paths: see `make_guide_table`
@@ -84,7 +84,7 @@ def make_guide_table(
             mean square of the radiance of paths. Most paths are black and the others about equal, so that the mean
             square goes with the mean, which the flow has learned.
     """
-    batched = {key: value[None] for key, value in theta.items()}
+    batched = add_task_axis(theta)
     middles = (torch.arange(places, device=theta["z"].device) + 0.5) / places
     cell_middles = (torch.arange(cells, device=theta["z"].device) + 0.5) / cells
     rows = []

@@ -13,7 +13,7 @@ from torch import Generator
 from metapp.appearance.colour import stretch_to_unit_range, tone_map
 from metapp.appearance.pictures import Picture, ScenePictures
 from metapp.learning.app import stack_tasks
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Params, Task, add_task_axis
 from metapp.options import OUTPUT
 from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import Choice, choose
@@ -156,7 +156,7 @@ def distill_fit(choice: Choice, task: Task, theta: Params) -> Params:
         format_number(
             app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
         )
-        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (usual.app, distilled))
+        for any_app, params in ((app, add_task_axis(theta)), (usual.app, distilled))
     )
     say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
     return {key: value[0] for key, value in distilled.items()}

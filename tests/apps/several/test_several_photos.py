@@ -13,13 +13,12 @@ from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash_rendering import camera_distance, directions_to_point, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo, encode_maps
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
 from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,
-    _encode_maps,
 )
 from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
@@ -120,7 +119,7 @@ def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tas
 
 def truth(tasks: Tasks) -> Tensor:
     """RAW numbers of the tasks' own maps."""
-    return _encode_maps(unpack_maps(tasks.data["maps"]))
+    return encode_maps(unpack_maps(tasks.data["maps"]))
 
 
 def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:

@@ -7,7 +7,6 @@ a single photograph needs no places: it counts as photographed from straight abo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -24,9 +23,9 @@ from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash, decod
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    MIN_ROUGHNESS,
     decode_maps,
     decode_photo,
+    encode_maps,
     encode_roughness,
     find_slopes,
     map_differences,
@@ -137,11 +136,11 @@ class SeveralPhotos(SvbrdfNonstationary):
         size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
         reading = stereo.read_photos(batch["photos"], batch["places"])
-        slopes, diffuse, roughness_numbers, specular = reading.maps.split(CHANNELS, 1)
+        slopes, diffuse, _, specular = reading.maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
-            roughness_number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))  # the inverse of `decode_maps`
-            maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, roughness_number), specular], 1)
+            roughness_numbers = encode_roughness(torch.full_like(slopes[:, :1], roughness))
+            maps = torch.cat([slopes, diffuse, roughness_numbers, specular], 1)
             flashes = {"flash": estimate_flashes(decode_maps(maps), batch), "falloff": _no_falloff(maps)}
             candidates.append({"maps": maps, **flashes})
             losses.append(self.loss(candidates[-1], batch, {}))
@@ -263,7 +262,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         loss = loss + 2 * normal + 0.15 * normal / (mean_tilt + 0.03)
         loss = loss + 0.5 * slope_error + 0.7 * diffuse + 0.5 * specular + roughness
         mean, log_scale = theta["prior"].chunk(2, 1)
-        negative_log_likelihood = (mean - _encode_maps(target)).detach().abs() * (-log_scale).exp() + log_scale
+        negative_log_likelihood = (mean - encode_maps(target)).detach().abs() * (-log_scale).exp() + log_scale
         return loss + LIKELIHOOD_WEIGHT * negative_log_likelihood.mean((1, 2, 3))
 
     @override
@@ -371,14 +370,3 @@ def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:
     """Average photographs [T, N, 3, H, W] over areas to another size."""
     pooled: Tensor = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
     return pooled
-
-
-def _encode_maps(maps: Maps) -> Tensor:
-    """Return the unbounded numbers [T, 9, H, W] of maps: the inverse of `decode_maps` except at the ends of ranges."""
-    logit = torch.logit
-    diffuse, specular = (maps.diffuse.clamp(1e-4, 1) ** (1 / 2.2), maps.specular.clamp(1e-4, 1).sqrt())
-    slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)
-    roughness = encode_roughness(maps.roughness)
-    # `decode_maps` subtracts 2 from the numbers of the specular colour, so that 0 stands for a dielectric.
-    specular_numbers = logit(specular.clamp(0.02, 0.98)) + 2
-    return torch.cat([slopes, logit(diffuse.clamp(0.02, 0.98)), roughness, specular_numbers], 1)

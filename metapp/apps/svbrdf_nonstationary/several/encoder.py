@@ -23,7 +23,7 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     apply_pointwise,
     upsample,
 )
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, encode_diffuse
 from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution
@@ -324,7 +324,6 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         (photos.mean((1, 2), keepdim=True)[:, 0] + NOISE_VALUE).log() / 2 + 1,
     ]
     # Stereo finds slopes and diffuse colour; the numbers of roughness and specular colour are 0, where fits begin.
-    diffuse_logits = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
-    maps = torch.cat([slopes, diffuse_logits, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
+    maps = torch.cat([slopes, encode_diffuse(albedo), torch.zeros_like(length), torch.zeros_like(albedo)], 1)
     stereo = (grey, tangents, level, weights)
     return Reading(torch.cat(photo_inputs, 2), torch.cat(texel_inputs, 1), maps, gains, *stereo)

@@ -20,7 +20,7 @@ from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE, RADIANCE_FLOO
 from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import DIFFUSE_ALBEDO, DIFFUSE_SPECULAR, METAL_REFLECTANCE, SPHERE_ROUGHNESSES
 from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail
-from metapp.learning.task import Batch, Params, Task
+from metapp.learning.task import Batch, Params, Task, add_task_axis
 
 MAX_LIGHT_MAP_TEXELS = (512, 1024)  # rows and columns of a map on a page
 ALBEDO_NODES = 32  # cosines at which albedos of lobes are tabulated
@@ -42,7 +42,7 @@ def make_illumination_view(
         KeyError: the fit is of a photograph, which the task lacks.
     """
     app = presenter.app
-    batched_theta = {key: value[None] for key, value in theta.items()}
+    batched_theta = add_task_axis(theta)
     pixels = presenter.draw_map(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # maps are shown in units of the fit's mean radiance
     light = pixels.permute(2, 0, 1) / unit
@@ -62,9 +62,7 @@ def make_illumination_view(
     }
     pictures = {}
     if app.observes == "photo":
-        data = {
-            key: value[None] for key, value in {"photo": task.data["photos"][0], **app.prepare_mirror(task)}.items()
-        }
+        data = add_task_axis({"photo": task.data["photos"][0], **app.prepare_mirror(task)})
         pictures = {
             "photo": data["photo"][0].permute(1, 2, 0) / 255,
             "ball": _render_ball(app, batched_theta, data).permute(1, 2, 0),
