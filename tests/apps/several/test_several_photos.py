@@ -15,7 +15,7 @@ from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo, encode_maps
 from metapp.apps.svbrdf_nonstationary.places import held_places
-from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
+from metapp.apps.svbrdf_nonstationary.several import stereo
 from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,

@@ -31,7 +31,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     map_differences,
     pool_maps,
 )
-from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
+from metapp.apps.svbrdf_nonstationary.several import stereo, stereo_encoder
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes, log_radiance
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
@@ -268,7 +268,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     @override
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of the network that corrects photometric stereo."""
-        return stereo.init(rng)
+        return stereo_encoder.init(rng)
 
     @override
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
@@ -279,7 +279,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
         reading = stereo.read_photos(encoder_input["photos"], encoder_input["places"])
-        maps, log_scales = stereo.predict_maps(encoder, reading, encoder_input["relief"])
+        maps, log_scales = stereo_encoder.predict_maps(encoder, reading, encoder_input["relief"])
         # General predicts one scale for each kind of map: all numbers of that kind share it.
         expanded_scales = [
             log_scale.expand(-1, count, -1, -1)

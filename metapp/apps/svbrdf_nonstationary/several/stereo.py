@@ -1,44 +1,24 @@
-"""General's encoder of several flash photographs: maps of each texel, and the scales of their errors.
+"""Photometric stereo of several flash photographs in closed form.
 
-Photometric stereo in closed form comes first: it solves for the brightness and slopes of Lambertian texels, and for the
-exposures of the photographs. Two networks then correct its maps. A small one reads each photograph by itself; the mean
-and the maximum of its outputs over photographs do not depend on their order. A U-Net over texels reads these.
+It solves for the brightness and slopes of Lambertian texels, and for the exposures of the photographs.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import NamedTuple
 
 import torch
-from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, leaky_relu
+from torch import Tensor
 
 from metapp.appearance.flash_rendering import directions_to_point, texel_positions
-from metapp.apps.svbrdf_nonstationary.encoder import (
-    ENCODER_LEAKY_SLOPE,
-    add_block,
-    apply_block,
-    apply_pointwise,
-    upsample,
-)
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, encode_diffuse
-from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
-from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, apply_convolution
 
-STEM_CHANNELS = 32  # channels of the network that reads a photograph
-WIDTHS = (32, 48, 64, 96, 96)  # channels of the U-Net's levels; sides are multiples of 16 texels
-PHOTO_INPUTS, TEXEL_INPUTS = 18, 12 + RELIEF_CHANNELS  # channels that networks read of a photograph, and of texels
+PHOTO_INPUTS, TEXEL_INPUTS = 18, 12  # channels of readings that describe a photograph, and texels
 NOISE_VALUE = 0.004  # noise of photographs of 8 bits, a linear value, 1 is white
 STEREO_CLIPPED_LINEAR_VALUE = 0.97  # linear value, 1 is white, above which photometric stereo hardly trusts a pixel
-HIGHLIGHT_TANGENTS = (
-    0.06,
-    0.12,
-    0.25,
-    0.5,
-)  # widths of the curves that highlights are sums of: tangents of half angles
+# Widths of the curves that highlights are sums of: tangents of half angles
+HIGHLIGHT_TANGENTS = (0.06, 0.12, 0.25, 0.5)
 TEXEL_SOLVES = 4  # reweighted least squares of brightness and slopes
 EXPOSURE_SOLVES = 2  # solves of exposures after slopes are known
 HIGHLIGHT_SOLVES = 3  # reweighted least squares of exposures and highlights, before slopes are known
@@ -55,7 +35,7 @@ class Reading(NamedTuple):
 
     Attributes:
         photos: the inputs of each pixel of a photograph, [T, N, PHOTO_INPUTS, H, W].
-        texels: the inputs of each texel but relief, [T, TEXEL_INPUTS - RELIEF_CHANNELS, H, W].
+        texels: the inputs of each texel, [T, TEXEL_INPUTS, H, W].
         maps: unbounded numbers of the maps by photometric stereo, [T, 9, H, W].
         gains: logs of exposures, whose mean is 0, [T, N].
         grey: brightness over the brightness of a flat white patch, [T, N, 1, H, W].
@@ -74,52 +54,77 @@ class Reading(NamedTuple):
     weights: Tensor
 
 
-def init(rng: Generator) -> Params:
-    """Draw random parameters of the network."""
-    params: Params = {}
-    add_random_layer = functools.partial(add_layer, params, rng)
-    texel_channels = 2 * STEM_CHANNELS + TEXEL_INPUTS
-    add_random_layer("stem.first", STEM_CHANNELS, PHOTO_INPUTS, 3, 3)
-    add_random_layer("stem.second", STEM_CHANNELS, STEM_CHANNELS)
-    for level, (inputs, outputs) in enumerate(zip((texel_channels, *WIDTHS), WIDTHS)):  # noqa: B905
-        add_block(params, rng, f"down{level}", inputs, outputs)
-    for level in reversed(range(len(WIDTHS) - 1)):
-        add_block(params, rng, f"up{level}", WIDTHS[level + 1] + WIDTHS[level], WIDTHS[level])
-    add_random_layer("maps", sum(CHANNELS) + 2, WIDTHS[0] + texel_channels, gain=0.1)
-    add_random_layer("deviation", len(CHANNELS), WIDTHS[0] + texel_channels, gain=0.1)
-    return params
-
-
-def predict_maps(params: Params, reading: Reading, relief: Tensor) -> tuple[Tensor, Tensor]:
-    """Predict maps and the scales of their errors.
+@torch.no_grad()
+def read_photos(photos: Tensor, places: Tensor) -> Reading:
+    """Solve photometric stereo and exposures, and collect the inputs of the network.
 
     Args:
-        params: the parameters that `init` draws.
-        reading: what :func:`read_photos` returns.
-        relief: what parallax tells of heights, [T, RELIEF_CHANNELS, H, W].
-
-    Returns:
-        Unbounded numbers of maps, [T, 9, H, W], and the logs of the scales of errors of slopes, diffuse colour,
-        roughness and specular colour, [T, 4, H, W].
+        photos: linear photographs [T, N, 3, H, W].
+        places: positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
     """
-    leading = reading.photos.shape[:2]
-    x = reading.photos.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-    x = leaky_relu(apply_convolution(params, "stem.first", x), ENCODER_LEAKY_SLOPE)
-    x = leaky_relu(apply_pointwise(params, "stem.second", x), ENCODER_LEAKY_SLOPE).unflatten(0, leading)
-    texel_inputs = torch.cat([x.mean(1), x.amax(1), reading.texels, relief], 1)
-    texel_inputs = texel_inputs.contiguous(memory_format=torch.channels_last)
-    x, skips = texel_inputs, []
-    for level in range(len(WIDTHS)):
-        x = apply_block(params, f"down{level}", avg_pool2d(x, 2) if level else x)
-        skips.append(x)
-    for level in reversed(range(len(WIDTHS) - 1)):
-        x = apply_block(params, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
-    x = torch.cat([x, texel_inputs], 1)
-    change, gates = apply_pointwise(params, "maps", x).split((sum(CHANNELS), 2), 1)
-    slopes, others = reading.maps.split((CHANNELS[0], sum(CHANNELS[1:])), 1)
-    slopes = 2 * torch.sigmoid(gates[:, :1]) * slopes + 0.5 * change[:, : CHANNELS[0]]
-    maps = torch.cat([slopes, others + 2 * change[:, CHANNELS[0] :]], 1)
-    return maps, apply_pointwise(params, "deviation", x).clamp(-8, 4)
+    # The geometry of each pixel: directions to camera and flash, the half vector, the brightness of a flat white patch
+    texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
+    (wo, _), (wi, squared_distance) = (directions_to_point(place, texels) for place in places.unbind(2))
+    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared_distance
+    half = wi + wo
+    half = half / half.norm(dim=2, keepdim=True)
+    widths = half.new_tensor(HIGHLIGHT_TANGENTS)[:, None, None]
+    highlights = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * widths.square()))
+    tangents = wi[:, :, :2] / wi[:, :, 2:]
+
+    # Colours over the brightness of the white patch, and how far each pixel can be trusted
+    colour = photos.clamp_min(NOISE_VALUE / 4) / white
+    grey, brightness = colour.mean(2, keepdim=True), photos.mean(2, keepdim=True)
+    logs, noise = grey.log(), NOISE_VALUE / 2 / brightness.clamp_min(NOISE_VALUE / 4)
+    is_clipped = (photos.amax(2, keepdim=True) > STEREO_CLIPPED_LINEAR_VALUE).to(photos)
+    valid = 1 - 0.98 * is_clipped
+
+    # Photometric stereo, of photographs from which exposures and highlights are divided out
+    gains, strengths = _solve_gains(logs, highlights, tangents, valid, noise)
+    gloss = (strengths[:, None, :, None, None] * highlights).sum(2, keepdim=True)
+    scale = torch.exp(-_add_picture_axes(gains) - gloss)
+    colour, grey = colour * scale, grey * scale
+    level, slopes, weights, unknown_share = photometric_stereo(grey, tangents, valid, noise)
+    lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.05)
+    weight = weights / weights.sum(1, keepdim=True)
+    facing_colour = (weight * colour / lambertian).sum(1)  # the colour of a texel that faces the flash
+
+    # What stereo leaves unexplained, and the directions of the flash and of highlights about the normal
+    log_ratio = (colour / (facing_colour[:, None] * lambertian)).log().clamp(-3, 3)
+    grey_log_ratio = log_ratio.mean(2, keepdim=True)
+    length = (1 + slopes.square().sum(1, keepdim=True)).sqrt()  # of the vector (slopes, 1), along the normal
+    normal = (torch.cat([slopes, torch.ones_like(length)], 1) / length)[:, None]
+    cos_half = (half * normal).sum(2, keepdim=True).clamp(-1, 1)
+    photo_inputs = [
+        log_ratio,
+        logs - _add_picture_axes(gains) + 1,
+        2 * tangents,
+        2 * wo[:, :, :2] / wo[:, :, 2:],
+        2 * half[:, :, :2] / half[:, :, 2:],
+        3 * (1 - cos_half).clamp_min(0).add(1e-6).sqrt(),
+        (wi * normal).sum(2, keepdim=True),
+        white.log(),
+        gloss,
+        is_clipped,
+        (brightness + NOISE_VALUE).log() / 2 + 1,
+        _add_picture_axes(gains).expand_as(white),
+        10 * weight / (1 + 9 * weight),
+    ]
+    albedo = (facing_colour * length).clamp(2e-4, 0.98)
+    texel_inputs = [
+        2 * slopes,
+        albedo.log() / 2 + 1,
+        2 * (weight * grey_log_ratio.square()).sum(1).sqrt(),
+        grey_log_ratio.amax(1),
+        grey_log_ratio.amin(1),
+        unknown_share.sqrt(),
+        torch.full_like(length, math.log(photos.shape[1]) - 1.5),
+        (photos.mean((1, 2), keepdim=True)[:, 0] + NOISE_VALUE).log() / 2 + 1,
+    ]
+    # Stereo finds slopes and diffuse colour; the numbers of roughness and specular colour are 0, where fits begin.
+    maps = torch.cat([slopes, encode_diffuse(albedo), torch.zeros_like(length), torch.zeros_like(albedo)], 1)
+    stereo = (grey, tangents, level, weights)
+    return Reading(torch.cat(photo_inputs, 2), torch.cat(texel_inputs, 1), maps, gains, *stereo)
 
 
 def photometric_stereo(brightness: Tensor, tangents: Tensor, valid: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
@@ -254,76 +259,3 @@ def _centre(gains: Tensor) -> Tensor:
 def _add_picture_axes(gains: Tensor) -> Tensor:
     """Add axes of channels, rows and columns to gains [T, N]: [T, N, 1, 1, 1]."""
     return gains[..., None, None, None]
-
-
-@torch.no_grad()
-def read_photos(photos: Tensor, places: Tensor) -> Reading:
-    """Solve photometric stereo and exposures, and collect the inputs of the network.
-
-    Args:
-        photos: linear photographs [T, N, 3, H, W].
-        places: positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
-    """
-    # The geometry of each pixel: directions to camera and flash, the half vector, the brightness of a flat white patch
-    texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
-    (wo, _), (wi, squared_distance) = (directions_to_point(place, texels) for place in places.unbind(2))
-    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared_distance
-    half = wi + wo
-    half = half / half.norm(dim=2, keepdim=True)
-    widths = half.new_tensor(HIGHLIGHT_TANGENTS)[:, None, None]
-    highlights = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * widths.square()))
-    tangents = wi[:, :, :2] / wi[:, :, 2:]
-
-    # Colours over the brightness of the white patch, and how far each pixel can be trusted
-    colour = photos.clamp_min(NOISE_VALUE / 4) / white
-    grey, brightness = colour.mean(2, keepdim=True), photos.mean(2, keepdim=True)
-    logs, noise = grey.log(), NOISE_VALUE / 2 / brightness.clamp_min(NOISE_VALUE / 4)
-    is_clipped = (photos.amax(2, keepdim=True) > STEREO_CLIPPED_LINEAR_VALUE).to(photos)
-    valid = 1 - 0.98 * is_clipped
-
-    # Photometric stereo, of photographs from which exposures and highlights are divided out
-    gains, strengths = _solve_gains(logs, highlights, tangents, valid, noise)
-    gloss = (strengths[:, None, :, None, None] * highlights).sum(2, keepdim=True)
-    scale = torch.exp(-_add_picture_axes(gains) - gloss)
-    colour, grey = colour * scale, grey * scale
-    level, slopes, weights, unknown_share = photometric_stereo(grey, tangents, valid, noise)
-    lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.05)
-    weight = weights / weights.sum(1, keepdim=True)
-    facing_colour = (weight * colour / lambertian).sum(1)  # the colour of a texel that faces the flash
-
-    # What stereo leaves unexplained, and the directions of the flash and of highlights about the normal
-    log_ratio = (colour / (facing_colour[:, None] * lambertian)).log().clamp(-3, 3)
-    grey_log_ratio = log_ratio.mean(2, keepdim=True)
-    length = (1 + slopes.square().sum(1, keepdim=True)).sqrt()  # of the vector (slopes, 1), along the normal
-    normal = (torch.cat([slopes, torch.ones_like(length)], 1) / length)[:, None]
-    cos_half = (half * normal).sum(2, keepdim=True).clamp(-1, 1)
-    photo_inputs = [
-        log_ratio,
-        logs - _add_picture_axes(gains) + 1,
-        2 * tangents,
-        2 * wo[:, :, :2] / wo[:, :, 2:],
-        2 * half[:, :, :2] / half[:, :, 2:],
-        3 * (1 - cos_half).clamp_min(0).add(1e-6).sqrt(),
-        (wi * normal).sum(2, keepdim=True),
-        white.log(),
-        gloss,
-        is_clipped,
-        (brightness + NOISE_VALUE).log() / 2 + 1,
-        _add_picture_axes(gains).expand_as(white),
-        10 * weight / (1 + 9 * weight),
-    ]
-    albedo = (facing_colour * length).clamp(2e-4, 0.98)
-    texel_inputs = [
-        2 * slopes,
-        albedo.log() / 2 + 1,
-        2 * (weight * grey_log_ratio.square()).sum(1).sqrt(),
-        grey_log_ratio.amax(1),
-        grey_log_ratio.amin(1),
-        unknown_share.sqrt(),
-        torch.full_like(length, math.log(photos.shape[1]) - 1.5),
-        (photos.mean((1, 2), keepdim=True)[:, 0] + NOISE_VALUE).log() / 2 + 1,
-    ]
-    # Stereo finds slopes and diffuse colour; the numbers of roughness and specular colour are 0, where fits begin.
-    maps = torch.cat([slopes, encode_diffuse(albedo), torch.zeros_like(length), torch.zeros_like(albedo)], 1)
-    stereo = (grey, tangents, level, weights)
-    return Reading(torch.cat(photo_inputs, 2), torch.cat(texel_inputs, 1), maps, gains, *stereo)
