@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -49,7 +49,7 @@ class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
     All methods are batched over tasks: parameters and batches have a leading task axis T. Every application defines the
-    abstract methods. The other methods have defaults, which do nothing or call the network. A recipe holds an
+    abstract methods. The other methods have defaults, which do nothing. A recipe holds an
     application; all sizes are fields of it, so that two applications with equal fields are equal. A subclass with
     fields of its own is a frozen dataclass, too.
 
@@ -58,12 +58,7 @@ class App(ABC):
     too: it measures a prediction that need not come from the network, and :meth:`errors` calls it.
 
     Attributes:
-        network: the network of one task, which has the methods `init`, `init_encoder` and `encode`, unless the
-            application defines its own; None if it defines all three. Update rules also read two attributes of networks
-            that have them: `periodic`, whether parameters on a grid continue at the opposite edge, and
-            `linear_parameter`, the name of a parameter [C, F] in which the output is linear.
         name: the application's name on the command line.
-        observes: what fits observe of a task, a value of --observe; "" if all fits of the application observe the same.
         error_measure: the meaning and the scale of the errors that `errors` returns.
         tensors: the form of each tensor of a task, by the tensor's name.
         small_tensors: whether the tensors of one task are so small that threads and GPUs only slow its fit down, and
@@ -71,13 +66,32 @@ class App(ABC):
         deterministic: whether a fit observes nothing random, so that a second fit would give the first one's result.
     """
 
-    network: Any = None
     name: ClassVar[str]
-    observes: ClassVar[str] = ""
     error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
     small_tensors: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
+
+    @property
+    def observes(self) -> str:
+        """What fits observe of a task, a value of --observe; "" if all fits of the application observe the same."""
+        return ""
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether parameters on a grid continue at the opposite edge, which some update rules ask for."""
+        return False
+
+    @property
+    def linear_parameter(self) -> str:
+        """The name of a parameter [C, F] in which the network's output is linear; "" if there is none."""
+        return ""
+
+    @property
+    def encoder_settings(self) -> tuple[object, ...]:
+        """All that General's encoder depends on: applications with equal settings can share its checkpoint."""
+        # named tuples of different types are equal where their fields are
+        return tuple((type(value), value) for value in (getattr(self, field.name) for field in fields(self)))
 
     @property
     def full_name(self) -> str:
@@ -110,10 +124,9 @@ class App(ABC):
         Tasks that are fitted together must have tensors of equal shapes.
         """
 
+    @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
         """Draw random network parameters for `count` tasks; each tensor is [count, ...]."""
-        theta: Params = self.network.init(rng, count)
-        return theta
 
     def task_parameters(self, tasks: Tasks) -> Params:
         """Return parameters [T, ...] that tasks determine: constants of fits, or first values of what they learn."""
@@ -155,9 +168,9 @@ class App(ABC):
         return {}
 
     def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
-        """Return least squares near the inner loss in the network's `linear_parameter`.
+        """Return least squares near the inner loss in the parameter :attr:`linear_parameter`.
 
-        It is called only for networks that have a linear parameter. See :meth:`loss` for the arguments.
+        It is called only for applications that have one. See :meth:`loss` for the arguments.
         """
         raise NotImplementedError
 
@@ -176,15 +189,15 @@ class App(ABC):
         """
         return self.loss(theta, batch, loss_parameters)
 
+    @abstractmethod
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of General's encoder."""
-        encoder: Params = self.network.init_encoder(rng)
-        return encoder
 
     @abstractmethod
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the input of General's encoder for each task (I in the paper); tensors are [T, ...]."""
 
+    @abstractmethod
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Predict network parameters [T, ...] in one forward pass of the encoder.
 
@@ -192,8 +205,6 @@ class App(ABC):
             encoder: the parameters of the encoder.
             encoder_input: the input [T, ...] of the encoder for each task, from :meth:`encoder_input`.
         """
-        theta: Params = self.network.encode(encoder, encoder_input)
-        return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Return as many augmented tasks, each a random variation of one of the tasks; for training only."""

@@ -183,6 +183,10 @@ class Tasks:
         """Return a view of the tasks at some positions of this view, without copying tensors."""
         return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
 
+    def gather(self, names: Sequence[str]) -> Batch:
+        """Return the tensors of some names of the tasks of this view, [T, ...]."""
+        return {name: self.data[name][self.rows] for name in names}
+
     @functools.cached_property  # reading rows waits for a GPU
     def selected_names(self) -> tuple[str, ...]:
         """The names of the tasks in this view, in order."""

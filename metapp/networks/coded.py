@@ -6,19 +6,60 @@ The functions below split General's parameters into a reader of the encoder inpu
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.learning.app import App
+from metapp.learning.composed import Encoder
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regrid
 
 INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
+
+
+def initial_smoothing(steps: int) -> Params:
+    """Return the initial value of the loss parameter `smoothing` [steps], which :func:`smooth_absolute` reads."""
+    return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
+
+
+class CodeEncoder(Encoder[Any]):
+    """An encoder of photographs for decoders that are a field, `decoder.network`.
+
+    A reader predicts the code z of a task, and further parameters, from `photo` [T, 3, S, S]; the field's other
+    parameters are then equal for all tasks. It may predict a coarser code than the field has, so that recipes of
+    several sizes share checkpoints of the smallest one.
+    """
+
+    @abstractmethod
+    def init_reader(self, rng: Generator, network: LocalField) -> Params:
+        """Draw random parameters of the reader of photographs."""
+
+    @abstractmethod
+    def read(self, reader: Params, photos: Tensor, network: LocalField) -> Params:
+        """Read the parameters that tasks do not share, [T, ...] each, from their photographs [T, 3, S, S]."""
+
+    @override
+    def init(self, rng: Generator, decoder: Any) -> Params:
+        """Draw the reader of photographs, then the parameters of the field that all tasks share."""
+        return join_encoder(self.init_reader(rng, decoder.network), decoder.network.init(rng, 1), ("z",))
+
+    @override
+    def select_input(self, seen: Any) -> Batch:
+        return {"photo": seen.photo}
+
+    @override
+    def __call__(self, encoder: Params, encoder_input: Batch, decoder: Any) -> Params:
+        network: LocalField = decoder.network
+        theta = self.read(select_reader(encoder), encoder_input["photo"], network)
+        theta["z"] = regrid(theta["z"], network.rows, network.columns, periodic=network.periodic)
+        return add_decoder(theta, encoder)
 
 
 @dataclass(frozen=True)
@@ -40,6 +81,15 @@ class CodedApp(App):
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
+
+    @property
+    @override
+    def is_periodic(self) -> bool:
+        return self.network.periodic
+
+    @override
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.network.init(rng, count)
 
     def init_reader(self, rng: Generator) -> Params:
         """Draw random parameters of the reader of photographs."""

@@ -7,14 +7,12 @@ paradigm or rule, what fits see, and the network. Training a checkpoint is `meta
 from __future__ import annotations
 
 import shlex
-from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
 
 from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.rules.network import is_periodic
 from metapp.learning.task import Params
 from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
@@ -98,14 +96,9 @@ def checkpoint_name(application: Application, app: App, training: CheckpointTrai
         return name
     first_apps = (entry.load().app for entry in application.recipes_observing().values())
     is_shared = training.shared_by_observations and any(
-        _network_and_fields(app) == _network_and_fields(first_app) for first_app in first_apps
+        app.encoder_settings == first_app.encoder_settings for first_app in first_apps
     )
     return name if is_shared else f"{name}-{app.observes}"
-
-
-def _network_and_fields(app: App) -> tuple[object, ...]:
-    """Return the type of an application's network and the values of all fields."""
-    return type(app.network), *(getattr(app, field.name) for field in fields(app))
 
 
 def has_shipped_checkpoint(choice: Choice, training: CheckpointTraining) -> bool:
@@ -245,7 +238,7 @@ def resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaPa
     for key, untrained in fresh.items():
         value = alpha.get(key, untrained)
         if value.ndim == untrained.ndim == 4 and value.shape[1] == untrained.shape[1] and min(value.shape) > 0:
-            alpha[key] = regrid(value, *untrained.shape[2:], periodic=is_periodic(app))
+            alpha[key] = regrid(value, *untrained.shape[2:], periodic=app.is_periodic)
     return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 

@@ -1,21 +1,25 @@
 """Illumination: the network of a map, the encoder's views of a photograph, losses, protocols and outputs."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import develop, photograph_spheres, render_material_spheres
-from metapp.apps.illumination.app import (
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_encoder import unwrap_photos
+from metapp.apps.illumination.ball_sight import BallSight, SeenBall
+from metapp.apps.illumination.lighting import (
     BALL_AND_CAMERA_GAIN,
     BALL_AND_CAMERA_NUMBERS,
     BALL_ROUGHNESSES,
-    FromBall,
-    FromMap,
-    Illumination,
+    LightField,
+    Lighting,
     decode_ball_and_camera,
 )
-from metapp.apps.illumination.ball_encoder import unwrap_photos
 from metapp.apps.illumination.map_augmentation import (
     LAMP_COUNT,
     add_lamps,
@@ -24,16 +28,17 @@ from metapp.apps.illumination.map_augmentation import (
     tint_maps,
     turn_maps,
 )
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.mirror import CLIPPED_LIGHT_FACTOR
 from metapp.learning.app import stack_tasks
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene.relighting import relight
 from tests.recipe_apps import presenter_of
 
 pytestmark = pytest.mark.usefixtures("second_scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-REFERENCE, PHOTO = (kind(FIELD) for kind in (FromMap, FromBall))
+REFERENCE, PHOTO = (Illumination(LightField(FIELD), sight) for sight in (MapSight(), BallSight()))
 
 
 def lamps(seed: int, height: int = 64) -> Tensor:
@@ -65,16 +70,22 @@ def tasks(app: Illumination) -> Tasks:
 def app_with_fixed_maps(app: Illumination, maps: Tensor) -> Illumination:
     """The application whose fits have these maps [T, 3, H, W], whatever the parameters of their networks."""
 
-    class Fitted(type(app)):  # type: ignore[misc]
-        def radiance_maps(self, theta: Params) -> Tensor:
-            return maps
+    class FixedMaps(LightField):
+        @override
+        def __call__(self, theta: Params, seen: object = None) -> Lighting:
+            return super().__call__(theta)._replace(maps=maps)
 
-    return Fitted(**vars(app))
+    return replace(app, decoder=FixedMaps(app.decoder.network))
 
 
 def exact(app: Illumination, tasks: Tasks) -> tuple[Illumination, Params]:
     """The application whose fits have the tasks' maps, and parameters of as many fits."""
     return app_with_fixed_maps(app, tasks.data["map"][tasks.rows]), app.init(Generator().manual_seed(0), len(tasks))
+
+
+def photo_batch(photos: Tensor) -> Batch:
+    """What fits see of photographs of spheres that are no mirrors."""
+    return BallSight().observe(torch.zeros(len(photos), 3, 8, 16), photos)._asdict()
 
 
 # What the encoder sees
@@ -117,7 +128,7 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(tasks: Tasks, rng: G
     theta |= {"body": 0.5 / BALL_AND_CAMERA_GAIN * torch.randn(4, BALL_AND_CAMERA_NUMBERS, generator=rng)}
     material, camera = decode_ball_and_camera(BALL_AND_CAMERA_GAIN * theta["body"])
     seen = develop(render_material_spheres(tasks.data["map"], material, 64, BALL_ROUGHNESSES), camera).clamp_max(1)
-    batch = {"photo": (seen * 255).round()}  # black around the sphere
+    batch = photo_batch((seen * 255).round())  # black around the sphere
     assert photo.loss(theta, batch, {}).max() < 0.005  # rounding, and means of display values
     darker = {**theta, "body": theta["body"] - torch.eye(BALL_AND_CAMERA_NUMBERS)[7] / BALL_AND_CAMERA_GAIN}
     assert photo.loss(darker, batch, {}).min() > 0.05
@@ -126,7 +137,7 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(tasks: Tasks, rng: G
 def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks) -> None:
     photo = PHOTO
     theta = photo.init(Generator().manual_seed(0), 4)
-    batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
+    batch = photo_batch(torch.full((4, 3, 64, 64), 255.0))
     bright = {**theta, "body": theta["body"] + 12 / BALL_AND_CAMERA_GAIN * torch.eye(BALL_AND_CAMERA_NUMBERS)[7]}
     assert photo.loss(bright, batch, {}).max() < 1e-4
     dark = {**theta, "body": theta["body"] - 4 / BALL_AND_CAMERA_GAIN * torch.eye(BALL_AND_CAMERA_NUMBERS)[7]}
@@ -135,19 +146,22 @@ def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks) -> None:
 
 def test_fits_see_the_map_or_the_photo_by_protocol(tasks: Tasks) -> None:
     small, reference, photo = REFERENCE.init(Generator().manual_seed(0), 4), REFERENCE, PHOTO
-    batch = reference.sample(tasks, Generator(), 1)
-    for app, seen, unseen in ((reference, "map", "photo"), (photo, "photo", "map")):
-        before = app.loss(small, batch, {})
-        torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
-        assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
-    torch.testing.assert_close(mean_luminance(photo.prediction(small, {})), torch.ones(4))
+    batch = reference.outer_sample(tasks, Generator(), 1)
+    ball = batch | photo_batch(batch["photo"])
+    for app, batch_of_app, seen, unseen in ((reference, batch, "map", "photo"), (photo, ball, "photo", "map")):
+        before = app.loss(small, batch_of_app, {})
+        torch.testing.assert_close(app.loss(small, {**batch_of_app, unseen: batch[unseen] * 0}, {}), before)
+        assert not torch.allclose(app.loss(small, {**batch_of_app, seen: batch[seen] * 0}, {}), before)
+    torch.testing.assert_close(
+        mean_luminance(photo.prediction(small, SeenBall(**photo_batch(batch["photo"])))), torch.ones(4)
+    )
     brighter = {
         **small,
         "out.shift": small["out.shift"] + 1,
         "body": small["body"] - torch.eye(BALL_AND_CAMERA_NUMBERS)[7] / BALL_AND_CAMERA_GAIN,
     }
     torch.testing.assert_close(
-        photo.outer_loss(brighter, batch, {}), photo.outer_loss(small, batch, {})
+        photo.outer_loss(brighter, ball, {}), photo.outer_loss(small, ball, {})
     )  # nobody could tell
     assert not torch.allclose(reference.loss(brighter, batch, {}), reference.loss(small, batch, {}))
 
@@ -167,12 +181,14 @@ def test_a_mirror_is_taken_as_it_is_and_fits_in_its_unit(rng: Generator) -> None
     app, light = PHOTO, lamps(2)
     tasks = stack_tasks(app, [mirror_ball_task(light)])
     theta, front = app.init(rng, 1), texel_directions(8, 16)[2] > 0
-    prediction, target = app.prediction(theta, tasks.data)[0], tasks.data["map"][0]
+    prediction, target = app.prediction(theta, app.see(tasks))[0], tasks.data["map"][0]
     # the rest is the network's, but for its scale
-    for ratio in ((prediction / target)[:, front], (prediction / app.radiance_maps(theta)[0])[:, ~front]):
+    for ratio in ((prediction / target)[:, front], (prediction / app.decoder(theta).maps[0])[:, ~front]):
         torch.testing.assert_close(ratio, ratio.mean().expand(3, 64), rtol=1e-4, atol=0)
     app, theta = exact(app, tasks)
-    torch.testing.assert_close(app.prediction(theta, tasks.data), tasks.data["map"] / mean_luminance(tasks.data["map"]))
+    torch.testing.assert_close(
+        app.prediction(theta, app.see(tasks)), tasks.data["map"] / mean_luminance(tasks.data["map"])
+    )
     assert app.loss(theta, app.sample(tasks, rng, 1), {}).max() < 1e-5  # at whatever scale
 
 
@@ -183,11 +199,11 @@ def test_clipped_parts_of_a_mirror_are_at_least_as_bright(rng: Generator) -> Non
     tasks = stack_tasks(app, [mirror_ball_task(light, clip=2.0)])
     target, batch = tasks.data["map"], app.sample(tasks, rng, 1)
     app, theta = exact(app, tasks)
-    torch.testing.assert_close(app.prediction(theta, tasks.data), target)  # though it was seen as 2
+    torch.testing.assert_close(app.prediction(theta, app.see(tasks)), target)  # though it was seen as 2
     assert app.loss(theta, batch, {}).max() < 1e-5
     app = app_with_fixed_maps(app, target.clamp(max=1.0))
     assert app.loss(theta, batch, {}).min() > 0.01
-    prediction = app.prediction(theta, tasks.data)[0, 0]
+    prediction = app.prediction(theta, app.see(tasks))[0, 0]
     torch.testing.assert_close(
         prediction[4, 8] / prediction[4, 6], CLIPPED_LIGHT_FACTOR * 2 / light[0, 0, 0]
     )  # what is lost usually
@@ -252,7 +268,7 @@ def test_maps_are_written_at_the_scale_of_the_input(rng: Generator) -> None:
     app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
     files = presenter_of(app).pictures(theta, task_of(lamps(0)))
-    fitted = app.radiance_maps({key: value[None] for key, value in theta.items()})[0]
+    fitted = app.decoder({key: value[None] for key, value in theta.items()}).maps[0]
     fitted = fitted / mean_luminance(fitted[None])[0]  # 1, as all that are fitted; 3 is the file's
     torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))
     relit = files["relit"].pixels

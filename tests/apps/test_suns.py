@@ -8,7 +8,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import mean_luminance, solid_angles, texel_directions
-from metapp.apps.illumination.app import FromBall, FromMap
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import BallSight
+from metapp.apps.illumination.lighting import LightField
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.suns import MAX_SUN_RAD, SUN_COUNT, add_suns, find_suns, join_suns, split_suns
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -87,7 +90,7 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     field = LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2)
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
-    app = FromMap(field)
+    app = Illumination(LightField(field), MapSight())
     tasks = stack_tasks(app, [task])
     how, encoder = encoder_prediction(app), app.init_encoder(rng)
     predicted, theta = (variant.encode(encoder, variant.encoder_input(tasks, rng)) for variant in (app, how))
@@ -100,9 +103,9 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     moved = {key for key, grad in zip(leaves, grads, strict=True) if grad is not None and grad.any()}
     assert "z" in moved
     assert not [key for key in moved if key.startswith("suns")]
-    larger = app.resize(128, 256).radiance_maps(theta)  # a sun stays as wide and bright as it is
-    at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_maps(theta)))
+    larger = app.decoder.resize(128, 256)(theta).maps  # a sun stays as wide and bright as it is
+    at = float(mean_luminance(larger)), float(mean_luminance(app.decoder(theta).maps))
     assert at[0] == pytest.approx(at[1], rel=0.05)
-    photo = FromBall(field)
+    photo = Illumination(LightField(field), BallSight())
     encoder_input = encoder_prediction(photo).encoder_input(stack_tasks(photo, [task]), rng)
     assert not [key for key in encoder_prediction(photo).encode(encoder, encoder_input) if key.startswith("suns")]

@@ -20,7 +20,10 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.illumination.app import FromBall, FromMap
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import BallSight
+from metapp.apps.illumination.lighting import LightField
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
@@ -31,7 +34,6 @@ from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
-from metapp.learning.rules.solve import linear_parameter
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
@@ -125,11 +127,10 @@ def path_tasks() -> list[Task]:
 
 
 SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
+SMALL_LIGHT_FIELD = LightField(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
 SMALL_APPLICATIONS: dict[str, SmallApplication] = {
     "brdf": SmallApplication(brdf_tasks, Brdf(NBRDF_NETWORK)),
-    "illumination": SmallApplication(
-        map_tasks, FromMap(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
-    ),
+    "illumination": SmallApplication(map_tasks, Illumination(SMALL_LIGHT_FIELD, MapSight())),
     "svbrdf_nonstationary": SmallApplication(
         material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
     ),
@@ -144,7 +145,7 @@ SMALL_APPLICATIONS: dict[str, SmallApplication] = {
 
 
 SMALL_PHOTO_APPS: dict[str, App] = {
-    "illumination": FromBall(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)),
+    "illumination": Illumination(SMALL_LIGHT_FIELD, BallSight()),
     "svbrdf_nonstationary": FromPhoto(field_of(16, hidden=8)._replace(code=3), encoder_width=2),
 }
 
@@ -184,7 +185,7 @@ def small_recipe(app: App) -> Recipe:
         general=replace(recipe.general, **few_steps),
         meta={rule: shorten(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable_rules(app)},
         app=app,
-        rule="ridge" if linear_parameter(app) else recipe.rule,
+        rule="ridge" if app.linear_parameter else recipe.rule,
     )
 
 

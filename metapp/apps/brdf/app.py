@@ -72,6 +72,23 @@ class Brdf(App):
         data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
         return put_distinct_first(data) if self.network.linear_parameter else data
 
+    @property
+    @override
+    def linear_parameter(self) -> str:
+        return self.network.linear_parameter
+
+    @override
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.network.init(rng, count)
+
+    @override
+    def init_encoder(self, rng: Generator) -> Params:
+        return self.network.init_encoder(rng)
+
+    @override
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        return self.network.encode(encoder, encoder_input)
+
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `where` [T, 7, count] and `target` [T, 3, count] from the first half of each task's samples.

@@ -132,7 +132,7 @@ def set_conservation(recipe: Recipe, value: object) -> Recipe:
     Raises:
         ValueError: a network of the recipe cannot conserve energy.
     """
-    apps = [recipe.app, *(training.app for training in recipe.meta.values() if training.app)]
+    apps: list[Any] = [recipe.app, *(training.app for training in recipe.meta.values() if training.app)]
     if not all(app.network.can_conserve_energy for app in apps):
         raise ValueError("expected a recipe of isotropic BRDFs, such as full or quick")
 

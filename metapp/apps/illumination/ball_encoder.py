@@ -7,13 +7,18 @@ alone.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv1d, conv2d, grid_sample, leaky_relu, normalize, pad
+from typing_extensions import override
 
 from metapp.appearance.latlong import texel_directions
+from metapp.apps.illumination.lighting import BALL_AND_CAMERA_GAIN, BALL_AND_CAMERA_NUMBERS
 from metapp.learning.task import Params
+from metapp.networks.coded import CodeEncoder
+from metapp.networks.field import LocalField
 from metapp.networks.layers import add_layer, apply_dense
 
 ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
@@ -24,14 +29,30 @@ SPHERE_CHANNELS = 64  # channels of the layers on the sphere of directions
 SPHERE_STRIDES = (1, 2, 4, 8, 1)  # texels between the entries of these layers' kernels, which so see all around
 
 
-def init_reader(rng: Generator, code: int, ball_and_camera: int) -> Params:
-    """Draw random parameters of the reader of photographs.
+@dataclass(frozen=True)
+class BallEncoder(CodeEncoder):
+    """The encoder of photographed spheres.
 
-    Args:
-        rng: the source of all draws.
-        code: length of the code.
-        ball_and_camera: number of the numbers that describe the sphere's material and the camera.
+    Attributes:
+        size: rows and columns of the code that it predicts.
     """
+
+    size: tuple[int, int] = (16, 32)
+
+    @override
+    def init_reader(self, rng: Generator, network: LocalField) -> Params:
+        return init_reader(rng, network.code)
+
+    @override
+    def read(self, reader: Params, photos: Tensor, network: LocalField) -> Params:
+        photos = photos.to(next(iter(reader.values()))) / 255
+        code, numbers = read_ball_photos(reader, photos, *self.size)
+        # Code and numbers of ball and camera are multiplied by gains: the encoder predicts them as they are used.
+        return {"z": code / network.gain, "body": numbers / BALL_AND_CAMERA_GAIN}
+
+
+def init_reader(rng: Generator, code: int) -> Params:
+    """Draw random parameters of the reader of photographs, which predicts a code of `code` numbers."""
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
 
@@ -39,7 +60,7 @@ def init_reader(rng: Generator, code: int, ball_and_camera: int) -> Params:
         layer(f"photo{i}", outputs, inputs, 3, 3)
     layer("whole", 2 * OUTLINE_NUMBERS, PHOTO_CHANNELS[-1][1] * (PHOTO_PX // 2 ** len(PHOTO_CHANNELS)) ** 2)
     layer("outline", OUTLINE_NUMBERS, 2 * OUTLINE_NUMBERS)
-    layer("body", ball_and_camera, 2 * OUTLINE_NUMBERS, gain=0.1)
+    layer("body", BALL_AND_CAMERA_NUMBERS, 2 * OUTLINE_NUMBERS, gain=0.1)
     layer("around0", SPHERE_CHANNELS, 2 * 6 + 3, 3, 3)
     layer("around0.whole", SPHERE_CHANNELS, OUTLINE_NUMBERS)
     for i in range(1, 1 + len(SPHERE_STRIDES)):
@@ -63,7 +84,7 @@ def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) ->
         columns: columns of the code.
 
     Returns:
-        The code [T, code, rows, columns], and the numbers of material and camera, [T, ball_and_camera].
+        The code [T, code, rows, columns], and the numbers of material and camera, [T, BALL_AND_CAMERA_NUMBERS].
     """
     features = photos - 0.5
     for i in range(len(PHOTO_CHANNELS)):

@@ -13,14 +13,14 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 from typing_extensions import override
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
-from metapp.appearance.latlong import level_maps, sphere_normals
+from metapp.appearance.colour import srgb_to_linear, tone_map
+from metapp.appearance.latlong import level_maps
 from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.map_augmentation import normalise_luminance
-from metapp.apps.illumination.mirror import scale_to_seen, shows_mirror
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.rendering.second_scene import relighting
 
@@ -51,16 +51,16 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return for fit and reference one picture of the map, the photograph and the second scene, tone-mapped."""
-        maps, photo = self._maps_and_photo(theta, task)
-        return {name: draw_overview(radiance, photo) for name, radiance in maps.items()}
+        photo = task.data["photos"][:1]
+        return {name: draw_overview(radiance, photo) for name, radiance in self._maps(theta, task).items()}
 
     @override
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
-        maps, photo = self._maps_and_photo(theta, task)
-        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.app.observes == "photo" else {}
-        for name, radiance in maps.items():
+        photo = self.app.sight.show_photo(task)
+        tiles = {} if photo is None else {"photo": srgb_to_linear(photo.permute(1, 2, 0))}
+        for name, radiance in self._maps(theta, task).items():
             prefix = "" if name == "fit" else f"{name} "
             for title, picture in (("map", radiance), ("relit", relighting.relight(radiance))):
                 tiles[f"{prefix}{title}"] = srgb_to_linear(tone_map(picture))[0].permute(1, 2, 0)
@@ -69,34 +69,22 @@ class IlluminationPresenter(Presenter[Illumination]):
     @override
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the ball as the fit makes it beside its photograph; of a mirror, the light in it, unwrapped."""
-        if self.app.observes != "photo":
-            return None
-        data, parameters = add_task_axis(self.app.prepare(task)), add_task_axis(theta)
-        maps = self.app.radiance_maps(parameters)
-        if shows_mirror(data)[0]:
-            fit, mirror_light = (
-                linear_to_srgb(light.clamp(0, 1)) for light in (scale_to_seen(maps, data), data["seen"])
-            )
-            return PictureComparison(fit, mirror_light, data["certain"][0, 0] > 0.5)
-        side = data["photo"].shape[-1]
-        return PictureComparison(
-            self.app.render_ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1]
-        )
+        seen = self.app.see(stack_tasks(self.app, [task]))
+        return self.app.sight.compare_photo(self.app.decoder(add_task_axis(theta)), seen)
 
     @override
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the second scene under the maps of fit and reference, tone-mapped."""
-        maps, _ = self._maps_and_photo(theta, task)
-        lit = {name: tone_map(relighting.relight(radiance)) for name, radiance in maps.items()}
+        lit = {name: tone_map(relighting.relight(radiance)) for name, radiance in self._maps(theta, task).items()}
         return PictureComparison(lit["fit"], lit["reference"]) if "reference" in lit else None
 
-    def _maps_and_photo(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
-        """Return maps [1, 3, H, W], `reference` if it is known, and `fit`; and the photograph, uint8 [1, 3, S, S]."""
-        data = add_task_axis(self.app.prepare(task))
-        reference = {"reference": data["map"]} if "map" in data else {}
-        return reference | {"fit": self.app.prediction(add_task_axis(theta), data)}, data["photo"]
+    def _maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return maps [1, 3, H, W] by name: `reference` if it is known, and `fit`."""
+        tasks = stack_tasks(self.app, [task])
+        truth = self.app.find_truth(tasks)
+        reference = {} if truth is None else {"reference": truth.map}
+        return reference | {"fit": self.app.prediction(add_task_axis(theta), self.app.see(tasks))}
 
     @override
     @torch.no_grad()
@@ -149,28 +137,26 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Warn of a fit that is the same everywhere, where the map that it was fitted to is not."""
-        if "map" not in tasks.data:
+        truth = self.app.find_truth(tasks)
+        if truth is None:
             return super().quality_warnings(theta, tasks)
-        pairs = zip(self.app.radiance_maps(theta), tasks.data["map"][tasks.rows], strict=True)
+        pairs = zip(self.app.decoder(theta).maps, truth.map, strict=True)
         return [collapsed_fit_warnings(fit, reference) for fit, reference in pairs]
 
     @override
     def visible(self, task: Task) -> VisibleData:
-        # each step sees all of the map or of the photograph; General's encoder reads the photograph alone
-        if self.app.observes == "photo":
-            return VisibleData(1, task.data["photos"][0].nbytes, 1)
-        return VisibleData(1, task.data["map"].nbytes, 0)
+        return self.app.sight.describe_visible(task)
 
 
 def file_map(app: Illumination, theta: Params, task: Task) -> Tensor:
-    """Return the fitted map [1, 3, H, W] that files show, of mean luminance 1; the task may lack the reference.
+    """Return the fitted map [1, 3, H, W] that files show, of mean luminance 1; the task may lack all data.
 
     Args:
         app: the application, at the size of the map.
         theta: the fit, without a task axis.
         task: the task of the fit, which may hold the light in a mirror ball.
     """
-    return app.prediction(add_task_axis(theta), add_task_axis(app.prepare_mirror(task)))
+    return app.sight.complete_for_file(app.decoder(add_task_axis(theta)), task)
 
 
 def radiance_picture(maps: Tensor, task: Task) -> Picture:

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.illumination.app import FromBall, FromMap
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import BallSight
+from metapp.apps.illumination.lighting import LightField
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.photo_recipes import recipes_of_references_and_photos
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe
 from metapp.networks.field import LocalField
@@ -43,7 +46,7 @@ QUICK = Recipe(
     ),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    app=FromMap(LocalField(32, 64)),
+    app=Illumination(LightField(LocalField(32, 64)), MapSight()),
 )
 # from photographs training is slow and long: the encoder has much to learn, and what to leave to the steps
 PHOTO_TRAINING = replace(
@@ -56,21 +59,22 @@ PHOTO_TRAINING = replace(
 )
 PHOTO = replace(
     QUICK,
-    app=FromBall(LocalField(32, 64)),
+    app=Illumination(LightField(LocalField(32, 64)), BallSight()),
     overfit=Adam(1e-3, final_rate_share=0.0),
     finetune=Adam(1e-4, final_rate_share=0.0),
     quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final_rate_share=0.1),
     meta={"meta-encoder": PHOTO_TRAINING},
     rule="meta-encoder",
 )
+SIGHTS = (MapSight(), BallSight())
 REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
     QUICK,
     PHOTO,
     # at the size that people use, with a fifth as many parameters as a map has numbers: what was learned for 32 x 64
     # texels, on a finer grid
-    full=[app(LocalField(128, 256, rows=32, columns=64)) for app in (FromMap, FromBall)],
+    full=[Illumination(LightField(LocalField(128, 256, rows=32, columns=64)), sight) for sight in SIGHTS],
     # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
-    paper=[app(LocalField(64, 128, hidden=64)) for app in (FromMap, FromBall)],
+    paper=[Illumination(LightField(LocalField(64, 128, hidden=64)), sight) for sight in SIGHTS],
 )
 # at a rate of 1e-3, which other applications have, losses are not finite after 439 steps
 REFERENCE_RECIPES["paper-long"] = long_paper_recipe(REFERENCE_RECIPES["paper"], 3e-4)

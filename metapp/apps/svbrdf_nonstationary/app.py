@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -50,6 +50,7 @@ class SvbrdfNonstationary(App):
         several_photos: whether fits see `others`, too, and place the flash of each photograph.
     """
 
+    network: Any = None
     several_photos: ClassVar[bool] = False
     name = "svbrdf_nonstationary"
     small_tensors = deterministic = True
@@ -112,7 +113,8 @@ class SvbrdfNonstationary(App):
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH_NUMBERS, device=rng.device)}
+        theta: Params = self.network.init(rng, count)
+        return theta | {"flash": torch.zeros(count, FLASH_NUMBERS, device=rng.device)}
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:

@@ -71,6 +71,10 @@ class Transport(App):
         return {key: task.data[key].float() for key in ("samples", "held_out", "image") if key in task.data}
 
     @override
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.network.init(rng, count)
+
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `points` [T, 4, count] from the samples of each task."""
         samples = tasks.data["samples"]

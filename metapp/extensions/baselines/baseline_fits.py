@@ -17,7 +17,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
-from metapp.apps.brdf.brdf_network import BrdfNetwork
+from metapp.apps.brdf.app import Brdf
 from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_prediction, tensor_bytes
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
@@ -101,7 +101,7 @@ def baseline_settings(choice: Choice, baseline: Baseline, label: str) -> Setting
 def parameters_per_task(app: App) -> Params:
     """Return the parameters [1, ...], as initialised, that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    unshared_names = app.network.unshared_parameters if isinstance(app.network, BrdfNetwork) else ()
+    unshared_names = app.network.unshared_parameters if isinstance(app, Brdf) else ()
     return {key: value for key, value in theta.items() if not unshared_names or key in unshared_names}
 
 

@@ -14,17 +14,19 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.latlong import mean_luminance
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import BallSight
+from metapp.apps.illumination.mirror import MirrorLight
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.extensions.baselines.harmonics import count_orders, from_harmonics, to_harmonics
-from metapp.learning.app import App
-from metapp.learning.task import Batch, Tasks
+from metapp.learning.task import Tasks
 
 SCALE_BYTES, COEFFICIENT_BYTES = 4, 2  # of the scale, a float, and of a coefficient divided by it, half a float
 
 
-def baselines(app: App) -> tuple[Baseline, ...]:
+def baselines(app: Illumination) -> tuple[Baseline, ...]:
     """Return the baseline of the application, whose fits see a map or a photograph."""
-    return (UnwrappedBall(app) if app.observes == "photo" else SphericalHarmonics(app),)
+    return (UnwrappedBall(app) if isinstance(app.sight, BallSight) else SphericalHarmonics(app),)
 
 
 class SphericalHarmonics(Baseline):
@@ -64,28 +66,27 @@ class UnwrappedBall(Baseline):
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """Raise ValueError if the ball is no mirror."""
-        data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
-        for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
+        light = MirrorLight(**tasks.gather(MirrorLight._fields))
+        for name, certain in zip(tasks.selected_names, light.certain, strict=True):
             if not certain.any():
                 raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
-        numbers = 5 * data["seen"][0, 0].numel()
-        return BaselineFit(lambda: fill_unseen(data), numbers, 2 * numbers)
+        numbers = 5 * light.seen[0, 0].numel()
+        return BaselineFit(lambda: fill_unseen(light), numbers, 2 * numbers)
 
 
-def fill_unseen(data: Batch) -> Tensor:
+def fill_unseen(light: MirrorLight) -> Tensor:
     """Return maps in which directions that a ball does not show are filled in.
 
     Behind the ball is a copy of the light in front of it; where neither is known stands the mean; where the photograph
     clips stands the light at which it clips.
 
     Args:
-        data: `seen`, the radiance that the ball shows, [T, 3, H, W], and `certain`, [T, 2, H, W] in [0, 1], how far a
-            texel is seen unclipped, and how far clipped.
+        light: the light that mirror balls show.
 
     Returns:
         The maps, [T, 3, H, W].
     """
-    seen, share = data["seen"], data["certain"].sum(1, keepdim=True)
+    seen, share = light.seen, light.certain.sum(1, keepdim=True)
     behind, behind_share = (values.flip(-1).roll(values.shape[-1] // 2, -1) for values in (seen, share))
     mean = (mean_luminance(seen * share) / mean_luminance(share.expand_as(seen)).clamp_min(1e-6))[:, None, None, None]
     return torch.lerp(torch.lerp(mean, behind, behind_share), seen, share)

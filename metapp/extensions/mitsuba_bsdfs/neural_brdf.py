@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -251,8 +252,8 @@ def read_parameters(path: Path) -> Params:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
     recipes = [entry.load() for entry in registry().applications["brdf"].recipes.values()]
-    networks = {recipe.app_with(rule).network for recipe in recipes for rule in recipe.meta}
-    if shapes not in [parameter_shapes(network) for network in networks]:
+    apps: list[Any] = [recipe.app_with(rule) for recipe in recipes for rule in recipe.meta]
+    if shapes not in [parameter_shapes(network) for network in {app.network for app in apps}]:
         names = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take its params.safetensors.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):

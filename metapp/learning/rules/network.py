@@ -29,11 +29,6 @@ PARAMETER_UNIT_STEPS = 10  # the unit of the parameter as the network reads it, 
 RULE_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the network
 
 
-def is_periodic(app: App) -> bool:
-    """Return whether columns of an application's grid parameters continue at the opposite edge."""
-    return bool(getattr(app.network, "periodic", False))
-
-
 class StepNetwork(Part):
     """A convolutional network for each parameter of three axes, [channels, rows, columns]."""
 
@@ -54,7 +49,7 @@ class StepNetwork(Part):
         rng = Generator().manual_seed(0)
         for key, value in theta.items():
             if value.ndim == 3:
-                channels, name = len(value), f"{'around' if is_periodic(app) else 'within'}.{key}"
+                channels, name = len(value), f"{'around' if app.is_periodic else 'within'}.{key}"
                 for i, inputs in enumerate((3 * channels + 1 + MEMORY_CHANNELS, HIDDEN_CHANNELS)):
                     kernel = torch.randn(1, HIDDEN_CHANNELS, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
                     alpha |= {

@@ -58,11 +58,6 @@ class NormalEquations(Loss):
         return sums | {name: value for name, value in optional.items() if value is not None}, linear.losses.detach()
 
 
-def linear_parameter(app: App) -> str:
-    """Return the name of the parameter [C, F] in which an application's network is linear; "" if there is none."""
-    return str(getattr(app.network, "linear_parameter", ""))
-
-
 class Solve(Part):
     """Recursive least squares in the parameter W [T, C, F] that the network is linear in.
 
@@ -80,12 +75,12 @@ class Solve(Part):
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
-        return "" if linear_parameter(app) else "its network is not linear in any parameter of one task"
+        return "" if app.linear_parameter else "its network is not linear in any parameter of one task"
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return penalties of INITIAL_PENALTY for all features, and steps that keep nearly all earlier equations."""
-        name = linear_parameter(app)
+        name = app.linear_parameter
         return {
             f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(INITIAL_PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),

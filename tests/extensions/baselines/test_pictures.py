@@ -15,6 +15,7 @@ from metapp.appearance.latlong import texel_directions
 from metapp.appearance.quilting import cut_mask
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.app import JUDGED_PICTURES
+from metapp.apps.illumination.mirror import MirrorLight
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
@@ -52,7 +53,7 @@ def test_unseen_directions_repeat_the_seen_ones_mirrored() -> None:
     lamp = ((torch.einsum("c,chw->hw", torch.tensor([0.6, 0.0, 0.8]), towards) - 1) * 200).exp()
     light = 0.2 + 0.1 * towards[:1] + 40 * lamp * torch.tensor([1.0, 0.5, 0.25])[:, None, None]
     front = (towards[2] > 0).float()
-    result = fill_unseen({"seen": light[None], "certain": torch.stack([front, 0 * front])[None]})
+    result = fill_unseen(MirrorLight(light[None], torch.stack([front, 0 * front])[None]))
     torch.testing.assert_close(result[0][:, front > 0], light[:, front > 0])
     torch.testing.assert_close(result, result.flip(-1).roll(32, -1))
 

@@ -9,12 +9,16 @@ import pytest
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
+from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import mean_luminance, resample_maps, sphere_normals, texel_directions
 from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.pictures import Picture
-from metapp.apps.illumination.app import LOSS_PHOTO_PX, FromBall, FromMap, Illumination
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import LOSS_PHOTO_PX, BallSight
+from metapp.apps.illumination.lighting import LightField, Lighting
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import SPHERE_NAMES, render_spheres
 from metapp.extensions.viewer.pages import illumination as pages
@@ -51,18 +55,12 @@ def task_of(light: Tensor) -> Task:
 LIGHT = lamps(1, sun=30.0)
 
 
-class FittedToMap(FromMap):
-    """Fits that have a known map, whatever the parameters of their networks."""
+class KnownLight(LightField):
+    """The decoder of a known map, whatever the parameters of the network."""
 
-    def radiance_maps(self, theta: Params) -> Tensor:
-        return LIGHT[None]
-
-
-class FittedToBall(FromBall):
-    """Fits of a ball that have a known map, whatever the parameters of their networks."""
-
-    def radiance_maps(self, theta: Params) -> Tensor:
-        return LIGHT[None]
+    @override
+    def __call__(self, theta: Params, seen: object = None) -> Lighting:
+        return super().__call__(theta)._replace(maps=LIGHT[None])
 
 
 @pytest.fixture
@@ -72,7 +70,7 @@ def fitted_map() -> Tensor:
 
 
 def shown(protocol: str) -> tuple[Illumination, Params]:
-    app = {"reference": FittedToMap, "photo": FittedToBall}[protocol](FIELD)
+    app = Illumination(KnownLight(FIELD), {"reference": MapSight, "photo": BallSight}[protocol]())
     return app, {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
 
 
@@ -131,7 +129,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted_map: Te
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
     ball = make_view(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
-    target = app.render_ball({key: value[None] for key, value in theta.items()}, fitted_map[None], LOSS_PHOTO_PX)[0]
+    target = app.decoder({key: value[None] for key, value in theta.items()}).photograph(LOSS_PHOTO_PX)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PHOTO_PX)[0] > 0.999
     assert (avg_pool2d(ball, 64 // LOSS_PHOTO_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 

@@ -8,7 +8,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.illumination import app as illumination
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.lighting import LightField
+from metapp.apps.illumination.map_sight import MapSight
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, at_step, learn_differentiably
 from metapp.learning.app import App
@@ -25,8 +27,8 @@ FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
 FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final_rate_share=0.1)
 
 
-def small_app() -> illumination.Illumination:
-    return illumination.FromMap(FIELD)
+def small_app() -> Illumination:
+    return Illumination(LightField(FIELD), MapSight())
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +40,9 @@ def single_task_parameters(app: App) -> Params:
     return {key: value[0].double() for key, value in app.init(Generator().manual_seed(1), 1).items()}
 
 
-def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], count: int) -> list[dict[str, Tensor]]:
-    return [app.describe_maps(torch.exp(randn(TASKS, 3, 8, 16))) for _ in range(count)]
+def batches_for(app: Illumination, randn: Callable[..., Tensor], count: int) -> list[dict[str, Tensor]]:
+    photos = torch.zeros(TASKS, 3, 64, 64)  # which fits of maps do not see
+    return [app.sight.observe(torch.exp(randn(TASKS, 3, 8, 16)), photos)._asdict() for _ in range(count)]
 
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
@@ -64,7 +67,7 @@ def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
 
 
 def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
-    of: Any = SimpleNamespace(network=SimpleNamespace(periodic=periodic))
+    of: Any = SimpleNamespace(is_periodic=periodic)
     alpha = StepNetwork().initial(of, {"z": torch.zeros(3, 4, 8)}, 1, Adam(0.1))
     alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
     name = "around" if periodic else "within"

@@ -16,11 +16,13 @@ from metapp.appearance.latlong import luminance, resample_maps, solid_angles, te
 from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.ball_sight import SeenBall
 from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE, RADIANCE_FLOOR, shows_mirror
 from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import DIFFUSE_ALBEDO, DIFFUSE_SPECULAR, METAL_REFLECTANCE, SPHERE_ROUGHNESSES
 from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail
-from metapp.learning.task import Batch, Params, Task, add_task_axis
+from metapp.learning.app import stack_tasks
+from metapp.learning.task import Params, Task, add_task_axis
 
 MAX_LIGHT_MAP_TEXELS = (512, 1024)  # rows and columns of a map on a page
 ALBEDO_NODES = 32  # cosines at which albedos of lobes are tabulated
@@ -61,11 +63,11 @@ def make_illumination_view(
         "specular": DIFFUSE_SPECULAR,
     }
     pictures = {}
-    if app.observes == "photo":
-        data = add_task_axis({"photo": task.data["photos"][0], **app.prepare_mirror(task)})
+    if (photo := app.sight.show_photo(task)) is not None:
+        seen = app.see(stack_tasks(app, [task]))
         pictures = {
-            "photo": data["photo"][0].permute(1, 2, 0) / 255,
-            "ball": _render_ball(app, batched_theta, data).permute(1, 2, 0),
+            "photo": photo.permute(1, 2, 0),
+            "ball": _render_ball(app, batched_theta, seen).permute(1, 2, 0),
         }
     lobes = torch.stack([lobe_albedos(roughness) for roughness in SPHERE_ROUGHNESSES.values()]).half()
     thumbnail = crop_thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
@@ -88,18 +90,18 @@ def _describe_sizes(pixels: Tensor, light: Tensor, task: Task) -> str:
     return " ".join(lines)
 
 
-def _render_ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
+def _render_ball(app: Illumination, theta: Params, seen: SeenBall) -> Tensor:
     """Render the ball of a fitted photograph in the light of the fit, as display values [3, S, S] in [0, 1].
 
     Args:
         app: the application.
         theta: the parameters of one task, [1, ...].
-        data: what the application prepares of the task's photograph, [1, ...].
+        seen: the task's photograph, [1, ...].
     """
-    size = data["photo"].shape[-1]
-    if not shows_mirror(data):
-        return app.render_ball(theta, app.radiance_maps(theta), size)[0].clamp(0, 1)
-    photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.prediction(theta, data), size)[0]
+    size = seen.photo.shape[-1]
+    if not shows_mirror(seen.mirror):
+        return app.decoder(theta).photograph(size)[0].clamp(0, 1)
+    photo, ball = seen.photo[0] / 255, render_mirror_spheres(app.prediction(theta, seen), size)[0]
     # a photograph does not say how bright its light was: the exposure makes the median of its measured pixels equal
     is_measured = (photo.amax(0) < CLIPPED_DISPLAY_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
     ratio = luminance(srgb_to_linear(photo))[is_measured] / luminance(ball)[is_measured]
