@@ -298,13 +298,15 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
 def shorten_recipes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Return a function that gives the recipes "quick" and "full" of several tables other networks and a few steps.
 
-    It also keeps torch from compiling, which takes longer than so few steps.
+    Components that are given by name replace those of the applications. It also keeps torch from compiling, which takes
+    longer than so few steps.
     """
 
-    def shorten(tables: Sequence[dict[str, Recipe]], quick: Any, full: Any, **fields: Any) -> None:
+    def shorten(tables: Sequence[dict[str, Recipe]], quick: Any, full: Any, **components: Any) -> None:
         for recipes in tables:
             for name, network in (("quick", quick), ("full", full)):
-                app = type(recipes[name].app)(network, **fields)
+                app: Any = recipes[name].app
+                app = replace(app, decoder=replace(app.decoder, network=network), **components)
                 monkeypatch.setitem(recipes, name, replace(_shorten_recipe(recipes[name]), app=app))
         monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 

@@ -174,6 +174,11 @@ class App(ABC):
         """
         raise NotImplementedError
 
+    @property
+    def has_outer_loss(self) -> bool:
+        """Whether the outer loss is a function of its own; else it is the inner loss of other samples."""
+        return type(self).outer_loss is not App.outer_loss
+
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `count` samples of each task for the outer loss; tensors are [T, ...].
 

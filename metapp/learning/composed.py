@@ -21,7 +21,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.learning.app import App
-from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 Answer = TypeVar("Answer")
 Seen = TypeVar("Seen")
@@ -35,6 +35,11 @@ class Decoder(ABC, Generic[Answer, Seen]):
     def is_periodic(self) -> bool:
         """Whether parameters on a grid continue at the opposite edge, which some update rules ask for."""
         return False
+
+    @property
+    def linear_parameter(self) -> str:
+        """The name of a parameter [C, F] in which answers are linear but for a last function; "" if there is none."""
+        return ""
 
     @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
@@ -52,6 +57,14 @@ class Decoder(ABC, Generic[Answer, Seen]):
     def decode_for_steps(self, theta: Params, seen: Seen) -> Answer:
         """Return the answer of each task with gradients in those parameters alone that steps of fits change."""
         return self(theta, seen)
+
+    def decode_for_training(self, theta: Params, seen: Seen) -> Answer:
+        """Return the answer of each task that outer losses judge; the answer itself, where nothing else is said."""
+        return self(theta, seen)
+
+    def postprocess(self, theta: Params) -> Params:
+        """Change fits [T, ...] after their last step, before they are evaluated and stored; here not at all."""
+        return theta
 
 
 class Sight(ABC, Generic[Answer, Seen]):
@@ -77,8 +90,24 @@ class Sight(ABC, Generic[Answer, Seen]):
             ValueError: the task lacks what a fit must see.
         """
 
-    def sample(self, seen: Seen, rng: Generator, count: int) -> Seen:
-        """Draw `count` random samples of what is seen, [T, ...]; here all of it, whatever the count."""
+    def seen_type_of(self, tensors: Mapping[str, Tensor]) -> type[Any]:
+        """Return the named tuple of what is seen in tensors by name: augmented tasks may show something else."""
+        return self.seen_type
+
+    def gather(self, tasks: Tasks) -> Seen:
+        """Return what fits see of tasks, [T, ...], as :meth:`prepare` prepared it."""
+        seen_type = self.seen_type_of(tasks.data)
+        seen: Seen = seen_type(**tasks.gather(seen_type._fields))
+        return seen
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Seen:
+        """Draw `count` random samples of what fits see of each task, [T, ...]; here all of it, whatever the count."""
+        return self.gather(tasks)
+
+    def read(self, batch: Batch) -> Seen:
+        """Return what :meth:`sample` drew, out of the tensors [T, ...] of a batch by name."""
+        seen_type = self.seen_type_of(batch)
+        seen: Seen = seen_type(*(batch[name] for name in seen_type._fields))
         return seen
 
     @abstractmethod
@@ -95,8 +124,15 @@ class Sight(ABC, Generic[Answer, Seen]):
         """Return initial values [steps, ...] of the loss parameters that a rule may learn, by name."""
         return {}
 
-    def find_parameters(self, seen: Seen) -> Params:
-        """Return parameters [T, ...] that follow from what is seen in closed form, without any step."""
+    def least_squares(self, decoder: Any, theta: Params, seen: Seen, loss_parameters: Params) -> LeastSquares:
+        """Return least squares near the inner loss in the decoder's `linear_parameter`; see :meth:`loss`.
+
+        It is called only for decoders that have one.
+        """
+        raise NotImplementedError
+
+    def find_parameters(self, tasks: Tasks, decoder: Any) -> Params:
+        """Return parameters [T, ...] of the decoder that follow from what is seen in closed form, without any step."""
         return {}
 
     @property
@@ -114,34 +150,65 @@ class Judge(ABC, Generic[Answer, Seen, Truth]):
 
     Attributes:
         truth_type: the named tuple that :meth:`prepare` returns.
+        sampled_type: the named tuple that :meth:`sample` returns.
+        draws_samples: whether :meth:`sample` draws held-out samples in the form of what fits see. The outer loss is
+            then the inner loss of these, and judges get None in place of what fits saw.
     """
 
     truth_type: ClassVar[type[Any]]
+    sampled_type: ClassVar[type[Any]]
+    draws_samples: ClassVar[bool] = False
 
     @abstractmethod
     def prepare(self, task: Task, decoder: Any) -> Truth | None:
         """Prepare the truth of one task, without a task axis; None if the task has none."""
 
-    def sample(self, truth: Truth, rng: Generator) -> Truth:
-        """Draw at random what an outer loss compares, [T, ...]; here all of the truth."""
-        return truth
+    def gather(self, tasks: Tasks) -> Truth | None:
+        """Return the truth of tasks, [T, ...], as :meth:`prepare` prepared it; None if not all tasks have it."""
+        names = self.truth_type._fields
+        return self.truth_type(**tasks.gather(names)) if tasks.data.keys() >= set(names) else None
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Any:
+        """Draw what an outer loss compares, [T, ...]; here all of the truth, or None if tasks have none."""
+        return self.gather(tasks)
+
+    def query(self, answer: Any, truth: Truth) -> Any:
+        """Return what is judged of a completed answer: the answer itself, or its values where the truth is known."""
+        return answer
 
     @abstractmethod
-    def errors(self, prediction: Any, truth: Truth) -> dict[str, Tensor]:
+    def errors(self, prediction: Any, seen: Seen, truth: Truth) -> dict[str, Tensor]:
         """Measure errors [T], by name; `error` is the one of tables.
 
         Args:
-            prediction: predictions of fits or baselines, which `Sight.complete` returns of answers.
+            prediction: predictions of fits, which :meth:`query` returns, or of baselines.
+            seen: what fits see of the tasks.
             truth: the truth of the tasks.
         """
 
-    @abstractmethod
-    def outer_loss(self, answer: Answer, seen: Seen, truth: Truth) -> Tensor:
-        """Compute the outer loss of each fit, [T], from its answer, what it saw, and the truth."""
+    def outer_loss(self, answer: Answer, seen: Seen, truth: Any) -> Tensor:
+        """Compute the outer loss of each fit, [T]; judges that draw samples need none.
+
+        Args:
+            answer: the answers of the decoder.
+            seen: what the fits saw.
+            truth: what :meth:`sample` drew; None if the training tasks have no truth.
+        """
+        raise NotImplementedError
 
 
 class Encoder(ABC, Generic[Seen]):
-    """The encoder of General: from what is seen to parameters, in one forward pass."""
+    """The encoder of General: from what is seen to parameters, in one forward pass.
+
+    Attributes:
+        samples: how many samples of what a fit sees the encoder reads, if the sight draws samples.
+    """
+
+    samples: ClassVar[int] = 0
+
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        """Return the conditions that errors depend on, by name; see :meth:`App.recorded_conditions`."""
+        return {}
 
     @abstractmethod
     def init(self, rng: Generator, decoder: Any) -> Params:
@@ -194,6 +261,12 @@ class ComposedApp(App):
 
     @property
     @override
+    def linear_parameter(self) -> str:
+        name: str = self.decoder.linear_parameter
+        return name
+
+    @property
+    @override
     def encoder_settings(self) -> tuple[object, ...]:
         return self.decoder, self.encoder
 
@@ -208,16 +281,21 @@ class ComposedApp(App):
 
     def see(self, tasks: Tasks) -> Any:
         """Return what fits see of tasks, as the sight prepared it, [T, ...]."""
-        return self._as_seen(tasks.gather(self.sight.seen_type._fields))
+        return self.sight.gather(tasks)
 
     def find_truth(self, tasks: Tasks) -> Any | None:
         """Return the truth of tasks, as the judge prepared it, [T, ...]; None if not all tasks have it."""
-        names = self.judge.truth_type._fields
-        return self.judge.truth_type(**tasks.gather(names)) if tasks.data.keys() >= set(names) else None
+        return self.judge.gather(tasks)
 
-    def _as_seen(self, batch: Batch) -> Any:
-        """Return those tensors [T, ...] of a batch that the sight sampled."""
-        return self.sight.seen_type(*(batch[name] for name in self.sight.seen_type._fields))
+    @override
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        conditions: dict[str, str] = self.encoder.recorded_conditions(device)
+        return conditions
+
+    @override
+    def postprocess(self, theta: Params) -> Params:
+        kept: Params = self.decoder.postprocess(theta)
+        return kept
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
@@ -226,7 +304,7 @@ class ComposedApp(App):
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        parameters: Params = self.sight.find_parameters(self.see(tasks))
+        parameters: Params = self.sight.find_parameters(tasks, self.decoder)
         return parameters
 
     @property
@@ -237,31 +315,45 @@ class ComposedApp(App):
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        batch: Batch = self.sight.sample(self.see(tasks), rng, count)._asdict()
+        batch: Batch = self.sight.sample(tasks, rng, count)._asdict()
         return batch
 
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        seen = self._as_seen(batch)
+        seen = self.sight.read(batch)
         loss: Tensor = self.sight.loss(self.decoder.decode_for_steps(theta, seen), seen, loss_parameters)
         return loss
+
+    @override
+    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
+        squares: LeastSquares = self.sight.least_squares(self.decoder, theta, self.sight.read(batch), loss_parameters)
+        return squares
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
         parameters: Params = self.sight.initial_loss_parameters(steps)
         return parameters
 
+    @property
+    @override
+    def has_outer_loss(self) -> bool:
+        return not self.judge.draws_samples
+
     @override
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Add what the judge draws of the truth, which all training tasks have."""
-        truth: Batch = self.judge.sample(self.find_truth(tasks), rng)._asdict()
-        return self.sample(tasks, rng, count) | truth
+        """Draw what fits see, and what the judge compares with the truth; or held-out samples alone."""
+        truth = self.judge.sample(tasks, rng, count)
+        drawn: Batch = {} if truth is None else truth._asdict()
+        return drawn if self.judge.draws_samples else self.sample(tasks, rng, count) | drawn
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        seen = self._as_seen(batch)
-        truth = self.judge.truth_type(*(batch[name] for name in self.judge.truth_type._fields))
-        loss: Tensor = self.judge.outer_loss(self.decoder(theta, seen), seen, truth)
+        if not self.has_outer_loss:
+            return self.loss(theta, batch, loss_parameters)
+        seen = self.sight.read(batch)
+        names = self.judge.sampled_type._fields
+        truth = self.judge.sampled_type(*(batch[name] for name in names)) if batch.keys() >= set(names) else None
+        loss: Tensor = self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, truth)
         return loss
 
     @override
@@ -271,7 +363,7 @@ class ComposedApp(App):
 
     @override
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        batch: Batch = self.encoder.select_input(self.see(tasks))
+        batch: Batch = self.encoder.select_input(self.sight.sample(tasks, rng, self.encoder.samples))
         return batch
 
     @override
@@ -291,10 +383,21 @@ class ComposedApp(App):
     @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        return self.errors_of(self.prediction(theta, self.see(tasks)), tasks)
+        truth = self.find_truth(tasks)
+        if truth is None:
+            return {}
+        seen = None if self.judge.draws_samples else self.see(tasks)
+        errors: dict[str, Tensor] = self.judge.errors(
+            self.judge.query(self.prediction(theta, seen), truth), seen, truth
+        )
+        return errors
 
     def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Measure how far predictions of fits or baselines are from the truth; {} if the tasks have none."""
         truth = self.find_truth(tasks)
-        errors: dict[str, Tensor] = {} if truth is None else self.judge.errors(prediction, truth)
+        if truth is None:
+            return {}
+        errors: dict[str, Tensor] = self.judge.errors(
+            prediction, None if self.judge.draws_samples else self.see(tasks), truth
+        )
         return errors

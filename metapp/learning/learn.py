@@ -236,8 +236,8 @@ def task_loss(app: App, samples: int, *, outer: bool = False) -> Loss:
 def _task_loss(app: App, samples: int, outer: bool) -> Loss:
     """Return a loss that is made once for equal arguments. See :func:`task_loss`."""
     sample = app.outer_sample if outer else app.sample
-    # not App.outer_loss where it is inherited: faster steps of extensions recognise a loss by its method
-    value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
+    # faster steps of extensions recognise a loss by its method
+    value = app.outer_loss if outer and app.has_outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> DrawnBatch:
         batch = draw_per_task(lambda tasks, rng: sample(tasks, rng, samples), tasks, rng)

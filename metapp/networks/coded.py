@@ -8,25 +8,23 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Collection
-from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.learning.app import App
 from metapp.learning.composed import Encoder
 from metapp.learning.rounding import round_absolute
-from metapp.learning.task import Batch, Params, Tasks
+from metapp.learning.task import Batch, Params
 from metapp.networks.field import LocalField, regrid
 
 INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
 
 
-def initial_smoothing(steps: int) -> Params:
-    """Return the initial value of the loss parameter `smoothing` [steps], which :func:`smooth_absolute` reads."""
-    return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
+def initial_smoothing(steps: int, smoothing: float = INITIAL_SMOOTHING) -> Params:
+    """Return initial values of the loss parameter `smoothing` [steps], logs of s in :func:`smooth_absolute`."""
+    return {"smoothing": torch.full((steps,), math.log(smoothing))}
 
 
 class CodeEncoder(Encoder[Any]):
@@ -60,64 +58,6 @@ class CodeEncoder(Encoder[Any]):
         theta = self.read(select_reader(encoder), encoder_input["photo"], network)
         theta["z"] = regrid(theta["z"], network.rows, network.columns, periodic=network.periodic)
         return add_decoder(theta, encoder)
-
-
-@dataclass(frozen=True)
-class CodedApp(App):
-    """A field for each task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
-
-    General's encoder reads a task's parameters, the code z among them, from `photo` [T, 3, S, S]; the field's other
-    parameters are then equal for all tasks. It may read a coarser code than the field has, so that recipes of several
-    sizes share checkpoints of the smallest one. Nothing that a fit sees is drawn at random.
-
-    Attributes:
-        network: the field of one task.
-    """
-
-    network: LocalField = field()
-
-    small_tensors = deterministic = True
-
-    @override
-    def initial_loss_parameters(self, steps: int) -> Params:
-        return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
-
-    @property
-    @override
-    def is_periodic(self) -> bool:
-        return self.network.periodic
-
-    @override
-    def init(self, rng: Generator, count: int) -> Params:
-        return self.network.init(rng, count)
-
-    def init_reader(self, rng: Generator) -> Params:
-        """Draw random parameters of the reader of photographs."""
-        raise NotImplementedError
-
-    def read(self, reader: Params, photos: Tensor) -> Params:
-        """Read the parameters that tasks do not share, [T, ...] each, from their photographs [T, 3, S, S]."""
-        raise NotImplementedError
-
-    @override
-    def init_encoder(self, rng: Generator) -> Params:
-        """Draw the reader of photographs, then the parameters of the field that all tasks share."""
-        return join_encoder(self.init_reader(rng), self.network.init(rng, 1), ("z",))
-
-    @override
-    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {"photo": tasks.data["photo"][tasks.rows]}
-
-    @override
-    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
-        theta, network = self.read(select_reader(encoder), encoder_input["photo"]), self.network
-        theta["z"] = regrid(theta["z"], network.rows, network.columns, periodic=network.periodic)
-        return add_decoder(theta, encoder)
-
-    @override
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Return all data of each task."""
-        return {key: value[tasks.rows] for key, value in tasks.data.items()}
 
 
 def join_encoder(reader: Params, theta: Params, predicted: Collection[str]) -> Params:

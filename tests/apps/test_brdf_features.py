@@ -8,8 +8,8 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.geometry import angle_cosines, half_difference_and_cosine, half_difference_vectors
-from metapp.apps.brdf.app import MANY_SAMPLES, Brdf
-from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, find_network, parameter_shapes
+from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.brdf_network import BrdfNetwork, find_network, parameter_shapes
 from metapp.apps.brdf.feature_network import Featured, isotropic_inputs
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.apps.brdf.sample_augmentation import (
@@ -19,6 +19,7 @@ from metapp.apps.brdf.sample_augmentation import (
     is_reachable,
     sample_densities,
 )
+from metapp.apps.brdf.sample_sight import MANY_SAMPLES
 from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
@@ -127,7 +128,7 @@ def test_few_samples_and_samples_that_are_missed_count_less(theta: Params) -> No
     few, missed = 0.8, 0.6
     loss_parameters["evidence"] = torch.tensor([[few, missed]])
     for count in (100.0, float(MANY_SAMPLES), 10.0 * MANY_SAMPLES):
-        weighted = APP.least_squares(changed, batch | {COUNT_KEY: torch.tensor([count])}, loss_parameters)
+        weighted = APP.least_squares(changed, batch | {"distinct": torch.tensor([count])}, loss_parameters)
         factor = (min(count, MANY_SAMPLES) / MANY_SAMPLES) ** few * (1 + plain.losses / 0.02) ** -missed
         torch.testing.assert_close(weighted.weights, plain.weights * factor[:, None])
         torch.testing.assert_close(weighted.losses, plain.losses)
@@ -175,9 +176,9 @@ def test_augmented_measurements_have_the_stated_number_of_samples(data: Params, 
     assert torch.equal(data["where"], given)
     assert torch.equal(drawn["where"][:, HALF:], given[:, HALF:])  # what judges stays
     assert torch.equal(drawn["target"][:, HALF:], data["target"][:, HALF:])
-    dense = drawn[COUNT_KEY] == HALF
+    dense = drawn["distinct"] == HALF
     assert 0.55 < float(dense.float().mean()) < 0.78
-    assert FEWEST_SAMPLES <= float(drawn[COUNT_KEY].min()) < 2 * FEWEST_SAMPLES
+    assert FEWEST_SAMPLES <= float(drawn["distinct"].min()) < 2 * FEWEST_SAMPLES
     kept = (drawn["where"][:, :HALF] == given[:, :HALF]).all(2).float().mean(1)
     assert float(kept[dense].median()) == 1
     noise = (drawn["target"][:, :HALF] / torch.log1p(0.3 * drawn["where"][:, :HALF, 6:]) - 1).abs().amax((1, 2))
@@ -186,9 +187,9 @@ def test_augmented_measurements_have_the_stated_number_of_samples(data: Params, 
 
     tasks = Tasks(tuple(map(str, range(MATERIALS))), drawn, torch.arange(MATERIALS))
     batch = Brdf(SIZE).sample(tasks, rng, 64)
-    assert torch.equal(batch[COUNT_KEY], drawn[COUNT_KEY])
-    few = int(drawn[COUNT_KEY].argmin())
-    seen = {tuple(row) for row in drawn["where"][few, : int(drawn[COUNT_KEY][few])].tolist()}
+    assert torch.equal(batch["distinct"], drawn["distinct"])
+    few = int(drawn["distinct"].argmin())
+    seen = {tuple(row) for row in drawn["where"][few, : int(drawn["distinct"][few])].tolist()}
     assert {tuple(row) for row in batch["where"][few].T.tolist()} <= seen
 
 

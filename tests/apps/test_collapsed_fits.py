@@ -1,11 +1,15 @@
 """Warnings about fits that collapsed to one value, and remarks about inputs that are one value."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
 from tests.recipe_apps import app_by_recipe, presenter_of
@@ -31,14 +35,15 @@ def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     assert ["the input is one reflectance" in note for note in notes] == [False, False, True]
 
 
-def app_with_fixed_maps(app: FromPhoto, maps: Maps) -> FromPhoto:
+def app_with_fixed_maps(app: SvbrdfNonstationary, maps: Maps) -> SvbrdfNonstationary:
     """An application whose fits have these maps, whatever their parameters."""
 
-    class Fitted(FromPhoto):
-        def maps_of(self, theta: Params, photo: Tensor) -> Maps:
+    class FixedMaps(FieldMaps):
+        @override
+        def make_maps(self, theta: Params, photo: Tensor) -> Maps:
             return maps
 
-    return Fitted(**vars(app))
+    return replace(app, decoder=FixedMaps(app.decoder.network, app.decoder.camera))
 
 
 def test_black_maps_get_a_warning() -> None:

@@ -1,7 +1,5 @@
 """Stationary svBRDFs of pieces of a photograph: maps follow the quilt, and files have the photograph's resolution."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -185,8 +183,8 @@ def test_files_and_records_are_of_the_photograph(task: Task, tasks: Tasks) -> No
     theta = {key: value[0] for key, value in silent_fit(tasks).items()}
     presenter = presenter_of(APP)
     assert presenter.pictures(theta, task)["diffuse"].pixels.shape[:2] == (128, 128)
-    assert presenter.photo_share(task) == 1
-    assert replace(presenter, size=(256, 256)).photo_share(task) == 0.5
+    assert APP.photo_share(task, None) == 1
+    assert APP.photo_share(task, (256, 256)) == 0.5
     assert 0.3 < presenter.remarks(theta, task)["copied"] <= 1  # type: ignore[operator]
 
 

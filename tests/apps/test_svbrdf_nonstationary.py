@@ -13,19 +13,16 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash_rendering import camera_distance, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
-from metapp.apps.svbrdf_nonstationary.app import JUDGED_LIGHTS, SvbrdfNonstationary, fixed_pairs
-from metapp.apps.svbrdf_nonstationary.coded_maps import (
-    BLOTS_WEIGHT,
-    FITTED_LIGHTS,
-    STEEPNESS_WEIGHT,
-    CodedMaps,
-    FromMaps,
-    FromPhoto,
-    field_of,
-)
-from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder, PhotoUNet
+from metapp.apps.svbrdf_nonstationary.field_judge import BLOTS_WEIGHT, STEEPNESS_WEIGHT, FieldJudge
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps, field_of
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
+from metapp.apps.svbrdf_nonstationary.map_judge import JUDGED_LIGHTS, fixed_pairs
 from metapp.apps.svbrdf_nonstationary.maps import draw_mirroring_pairs, draw_oblique_pairs, pixel_inputs
+from metapp.apps.svbrdf_nonstationary.maps_sight import FITTED_LIGHTS, MapsSight
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto
+from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES, REFERENCE_RECIPES
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROP_SIDES,
     DIELECTRIC_F0,
@@ -43,8 +40,14 @@ from metapp.learning.task import Params, Task, Tasks
 from tests.recipe_apps import presenter_of
 
 SIDE = 16
-REFERENCE = FromMaps(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2)
-PHOTO = FromPhoto(REFERENCE.network, encoder_width=2)
+FIELD = field_of(SIDE, hidden=8)._replace(code=3)
+REFERENCE, PHOTO = (
+    SvbrdfNonstationary(FieldMaps(FIELD), sight, FieldJudge(), PhotoEncoder(2)) for sight in (MapsSight(), PhotoSight())
+)
+# for photographs that people take: they may be crops, and may clip
+PEOPLE_PHOTO = SvbrdfNonstationary(
+    FieldMaps(FIELD, "raised"), PhotoSight(fills=True), FieldJudge(), PhotoEncoder(2, finer=(2,)), FINEST_PX
+)
 
 
 def material(seed: int, size: int = 32) -> Tensor:
@@ -53,6 +56,11 @@ def material(seed: int, size: int = 32) -> Tensor:
     smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
     normal = normal_from_height(4 * smooth[:1], periodic=False)
     return pack_maps(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
+
+
+def photo_of_unknown_height(photo: Tensor) -> SeenPhoto:
+    """Linear photographs [T, 3, H, W] by cameras of unknown height, as fits see them."""
+    return SeenPhoto(photo, torch.zeros(len(photo), 1))
 
 
 @pytest.fixture
@@ -69,7 +77,7 @@ def tasks(app: SvbrdfNonstationary) -> Tasks:
 def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
     truth = unpack_maps(tasks.data["maps"])
-    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: truth)
+    monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: truth)
     return REFERENCE.init(Generator().manual_seed(0), 4)
 
 
@@ -100,7 +108,7 @@ def test_a_finer_photo_says_the_same() -> None:
 
 def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
     """Nothing at first; then at each resolution that a photo has, and what the coarse ones read of it stays in it."""
-    coarse, finer = Encoder(4, code=3), Encoder(4, code=3, finer=(3, 2))
+    coarse, finer = PhotoUNet(4, code=3), PhotoUNet(4, code=3, finer=(3, 2))
     weights = finer.init(rng)
     photo = torch.rand(2, 3, 256, 256, generator=rng)
     small = avg_pool2d(photo, 4)
@@ -167,29 +175,40 @@ def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
 
 def test_the_camera_moves_with_the_flash_where_photos_may_be_crops() -> None:
     """A photograph of twice the height is the middle of a photograph of a patch that is twice as large."""
-    theta = {"flash": torch.tensor([[0.0, 0.0, math.log(2) / 0.2 / PHOTO.network.gain, 0.0]])}
-    people, training = replace(PHOTO, encoder_finer=(2,)), PHOTO
-    assert people.fills
-    assert not training.fills
-    assert float(people.flash_of(theta).eye[0, 2]) == pytest.approx(2 * camera_distance())
-    assert float(training.flash_of(theta).eye[2]) == pytest.approx(camera_distance())
+    theta = PHOTO.init(Generator().manual_seed(0), 1)
+    theta |= {"flash": torch.tensor([[0.0, 0.0, math.log(2) / 0.2 / FIELD.gain, 0.0]])}
+    seen = photo_of_unknown_height(torch.full((1, 3, SIDE, SIDE), 0.3))
+    people, training = (app.decoder(theta, seen).flash for app in (PEOPLE_PHOTO, PHOTO))
+    assert float(people.eye[0, 2]) == pytest.approx(2 * camera_distance())
+    assert float(training.eye[2]) == pytest.approx(camera_distance())
     maps = torch.cat([material(0)[:, 8:24, 8:24].mean((1, 2), keepdim=True).expand(-1, 32, 32)])[None]
     maps[:, :2], maps[:, 2] = 0, 1
     whole = render_photo(unpack_maps(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
-    crop = render_photo(unpack_maps(maps[..., 8:24, 8:24]), people.flash_of(theta))
+    crop = render_photo(unpack_maps(maps[..., 8:24, 8:24]), people)
     torch.testing.assert_close(crop, whole[..., 8:24, 8:24])
+
+
+def test_photos_may_be_crops_and_are_filled_in_the_recipe_for_those_of_people_alone() -> None:
+    for name, recipe in PHOTO_RECIPES.items():
+        is_for_people = name == "full"
+        assert recipe.app.sight.fills is is_for_people
+        assert recipe.app.decoder.camera == ("raised" if is_for_people else "fixed")
+        assert recipe.app.read_size == (FINEST_PX if is_for_people else 0)
+    for name, recipe in REFERENCE_RECIPES.items():
+        assert recipe.app.decoder.camera == "fixed"
+        assert recipe.app.read_size == (FINEST_PX if name == "full" else 0)
 
 
 def test_the_flash_of_a_fit_is_as_high_as_a_camera_of_known_height(rng: Generator) -> None:
     """Heights about which nothing is known, or which fits expect, are General's to predict."""
-    app = replace(PHOTO, encoder_finer=(2,))
+    app = PEOPLE_PHOTO
     photo, encoder = torch.randint(256, (3, SIDE, SIDE), generator=rng, dtype=torch.uint8), app.init_encoder(rng)
     heights: dict[float, float] = {}
     for height in (0.0, 1.01 * camera_distance(), 5.0):
         places = {"places": torch.tensor([0.0, 0.0, height]).expand(1, 2, 3)} if height else {}
         tasks = stack_tasks(app, [Task("photo", {"photo": photo} | places)])
         theta = app.encode(encoder, app.encoder_input(tasks, rng))
-        heights[height] = float(app.flash_of(theta).place[0, 2])
+        heights[height] = float(app.decoder(theta, app.see(tasks)).flash.place[0, 2])
     unknown, usual, known = heights.values()
     assert usual == unknown
     assert known == pytest.approx(5.0)
@@ -279,7 +298,7 @@ def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstatio
 
 
 def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exact: Params, rng: Generator) -> None:
-    batch = app.sample(tasks, rng, 1)
+    batch = app.outer_sample(tasks, rng, 1)
     assert app.loss(exact, batch, {}).max() < 1e-6
     assert app.outer_loss(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
     errors = app.errors(exact, tasks)
@@ -288,20 +307,22 @@ def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exac
     torch.testing.assert_close(errors["relief"], torch.ones(len(tasks)), rtol=0, atol=1e-4)
 
 
-def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tilt_is_measured_in_degrees(
+    app: SvbrdfNonstationary, tasks: Tasks, exact: Params, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flat = tasks.data["maps"].clone()
     flat[:, :3] = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     angle = math.radians(10)
     tilted = unpack_maps(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
     tilted = tilted._replace(normal=tilted.normal.expand(4, -1, SIDE, SIDE))
-    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: tilted)
+    monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: tilted)
     judged = replace(tasks, data=tasks.data | {"maps": flat})
-    torch.testing.assert_close(app.errors({}, judged)["normal"], torch.full((4,), 10.0), rtol=1e-3, atol=0)
+    torch.testing.assert_close(app.errors(exact, judged)["normal"], torch.full((4,), 10.0), rtol=1e-3, atol=0)
 
 
-def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks, exact: Params) -> None:
+def test_clipped_parts_of_a_photo_may_have_any_brightness(exact: Params) -> None:
     photo = PHOTO
-    white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
+    white = photo_of_unknown_height(torch.ones(4, 3, SIDE, SIDE))._asdict()
     brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
     assert photo.loss(brighter, white, {}).max() < 1e-4
     assert photo.loss(exact, white, {}).min() > 0.05
@@ -311,26 +332,27 @@ def test_clipped_parts_are_filled_in_maps_but_not_in_losses(
     tasks: Tasks, exact: Params, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only of maps that people use, made of photographs; a line says how much."""
-    people = replace(PHOTO, encoder_size=SIDE)
+    people = PEOPLE_PHOTO
     clipped = tasks.data["photo"].clamp_max(0.5).clone()
     clipped[0, :, 4:10, 4:10] = 1
     wrong = unpack_maps(tasks.data["maps"].clone())
     wrong.diffuse[0, :, 4:10, 4:10] = 0
-    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: wrong)
-    filled = people.final_maps(exact, clipped)
+    monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: wrong)
+    batch = photo_of_unknown_height(clipped)._asdict()
+    stacked = replace(tasks, data=tasks.data | batch)
+    filled = people.prediction(exact, people.see(stacked))
     assert filled.diffuse[0, :, 4:10, 4:10].min() > 0.1
     for part, before in zip(filled, wrong, strict=True):
         assert torch.equal(part[1:], before[1:])
-    assert PHOTO.final_maps(exact, clipped) is wrong
-    assert replace(REFERENCE, encoder_size=SIDE).final_maps(exact, clipped) is wrong
-    stacked = replace(tasks, data=tasks.data | {"photo": clipped})
+    reference = replace(REFERENCE, encoder=PhotoEncoder(2, SIDE), read_px=FINEST_PX)
+    assert PHOTO.prediction(exact, PHOTO.see(stacked)) is wrong
+    assert reference.prediction(exact, reference.see(stacked)) is wrong
     (clause,), *others = presenter_of(people).quality_warnings(exact, stacked)
     assert clause == (
         "14 % of the photo is clipped, 14 % of the maps is filled from its surroundings (a darker exposure shows more)"
     )
     assert others == [[], [], []]
     assert people.errors(exact, stacked)["diffuse"][0] < PHOTO.errors(exact, stacked)["diffuse"][0]
-    batch = {"photo": clipped}
     torch.testing.assert_close(people.loss(exact, batch, {}), PHOTO.loss(exact, batch, {}), rtol=0, atol=0)
 
 
@@ -338,6 +360,7 @@ def test_fits_see_maps_or_a_photo_by_protocol(tasks: Tasks) -> None:
     reference, photo = REFERENCE, PHOTO
     theta = reference.init(Generator().manual_seed(0), 4)
     batch = reference.sample(tasks, Generator(), 1)
+    batch |= photo_of_unknown_height(batch["photo"])._asdict()
     for app, changed in ((reference, "maps"), (reference, "lit"), (photo, "photo")):
         before = app.loss(theta, batch, {})
         after = app.loss(theta, batch | {changed: batch[changed] * 0.9}, {})
@@ -371,14 +394,14 @@ def test_outer_losses_count_flat_normals_and_blots(
     half[:, 3:6] = (half[:, 3:6] + 0.2).clamp_max(0.98)
     half[:, :2] *= 0.1
     half[:, :3] = normalize(half[:, :3], dim=1)
-    batch = app.sample(tasks, rng, 1)
+    batch = app.outer_sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: unpack_maps(half))
+    monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: unpack_maps(half))
     whole = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.coded_maps.STEEPNESS_WEIGHT", 0.0)
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.field_judge.STEEPNESS_WEIGHT", 0.0)
     without_steep = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.coded_maps.BLOTS_WEIGHT", 0.0)
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.field_judge.BLOTS_WEIGHT", 0.0)
     neither = app.outer_loss(exact, batch, {})
     assert (whole - without_steep).min() > 0.5 * STEEPNESS_WEIGHT  # the log of some three to ten times
     shades = [(maps[:, 3:6] + 1e-3) ** (1 / 2.2) for maps in (half, batch["maps"])]

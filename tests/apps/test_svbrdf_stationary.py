@@ -10,9 +10,8 @@ from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, srgb_to
 from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, map_statistics
-from metapp.apps.exemplar.app import PictureChanges, draw_noise
+from metapp.apps.exemplar.app import FILE_SIDE_TIMES, PictureChanges, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.svbrdf_stationary.app import (
     GLOSS_WEIGHT,
     ROUGHNESS_WEIGHT,

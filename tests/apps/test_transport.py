@@ -13,6 +13,7 @@ from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import make_guide_table
+from metapp.apps.transport.path_fits import FlowDensity
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.paths.path_space import Tracer
@@ -171,7 +172,7 @@ def room(seed: int, count: int = 4096) -> Task:
 
 @pytest.fixture
 def app() -> Transport:
-    return Transport(FLOW)
+    return Transport(FlowDensity(FLOW))
 
 
 @pytest.fixture
@@ -182,8 +183,9 @@ def tasks(app: Transport) -> Tasks:
 def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks) -> None:
     theta = {key: value.repeat(4, *[1] * (value.ndim - 1)).float() for key, value in bent_flow(FLOW).items()}
     errors = app.errors(theta, tasks)
+    held_out = {"samples": tasks.data["held_out"], "image": tasks.data["image"]}
     torch.testing.assert_close(errors["error"], errors["film"] + errors["directions"])
-    torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held_out"].mT}, {}))
+    torch.testing.assert_close(errors["error"], app.loss(theta, held_out, {}))
 
 
 def test_untrained_encoder_predicts_the_pictures_density(app: Transport, tasks: Tasks) -> None:

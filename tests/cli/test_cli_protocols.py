@@ -25,7 +25,8 @@ from metapp.appearance.photograph import photograph_spheres
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.illumination import recipes as illumination_recipes
 from metapp.apps.svbrdf_nonstationary import recipes as material_recipes
-from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
+from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder
+from metapp.apps.svbrdf_nonstationary.field_maps import field_of
 from metapp.cli.evaluation_options import EvaluateOptions
 from metapp.cli.evaluation_output import evaluation_runs_of
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES
@@ -116,7 +117,7 @@ def small(second_scene: Path, shorten_recipes: Callable) -> None:
     local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
     shorten_recipes(RECIPES["illumination"], local, local._replace(height=16, width=32))
     fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
-    shorten_recipes(RECIPES[SVBRDF], *fields, encoder_width=2)
+    shorten_recipes(RECIPES[SVBRDF], *fields, encoder=PhotoEncoder(2))
 
 
 @pytest.fixture
@@ -325,7 +326,7 @@ STEPS = ("--train", "--train-steps", "2", "--quiet")
 def on_data(metapp: Callable, shorten_recipes: Callable) -> Callable:
     """A command on ten small materials, eight of them for training, with small networks and a few steps."""
     field = field_of(16, hidden=8)._replace(code=3)
-    shorten_recipes(RECIPES[SVBRDF], field, field, encoder_width=2)
+    shorten_recipes(RECIPES[SVBRDF], field, field, encoder=PhotoEncoder(2))
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
 

@@ -18,6 +18,7 @@ from metapp.apps.transport import guided_pictures
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import make_guide_table
+from metapp.apps.transport.path_fits import FlowDensity
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import scene_reader
 from metapp.learning.task import Params, Task
@@ -39,7 +40,7 @@ def uniform(app: Transport) -> Params:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
-    app = Transport(Flow(code=3, hidden=8, bins=4), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
+    app = Transport(FlowDensity(Flow(code=3, hidden=8, bins=4)), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], samples=256, overfit_steps=30, app=app))
     monkeypatch.setattr(guided_pictures, "make_guide_table", functools.partial(make_guide_table, places=8, cells=8))
 

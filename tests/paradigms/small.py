@@ -24,12 +24,18 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.ball_sight import BallSight
 from metapp.apps.illumination.lighting import LightField
 from metapp.apps.illumination.map_sight import MapSight
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder
+from metapp.apps.svbrdf_nonstationary.field_judge import FieldJudge
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps, field_of
+from metapp.apps.svbrdf_nonstationary.maps_sight import MapsSight
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.path_fits import FlowDensity
 from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, final_item
@@ -128,25 +134,26 @@ def path_tasks() -> list[Task]:
 
 SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
 SMALL_LIGHT_FIELD = LightField(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+SMALL_FIELD_MAPS = FieldMaps(field_of(16, hidden=8)._replace(code=3))
 SMALL_APPLICATIONS: dict[str, SmallApplication] = {
     "brdf": SmallApplication(brdf_tasks, Brdf(NBRDF_NETWORK)),
     "illumination": SmallApplication(map_tasks, Illumination(SMALL_LIGHT_FIELD, MapSight())),
     "svbrdf_nonstationary": SmallApplication(
-        material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
+        material_tasks, SvbrdfNonstationary(SMALL_FIELD_MAPS, MapsSight(), FieldJudge(), PhotoEncoder(2))
     ),
     "svbrdf_stationary": SmallApplication(
         picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), SMALL_OCTAVES)
     ),
     "texture": SmallApplication(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)),
     "transport": SmallApplication(
-        path_tasks, Transport(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))
+        path_tasks, Transport(FlowDensity(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)))
     ),
 }
 
 
 SMALL_PHOTO_APPS: dict[str, App] = {
     "illumination": Illumination(SMALL_LIGHT_FIELD, BallSight()),
-    "svbrdf_nonstationary": FromPhoto(field_of(16, hidden=8)._replace(code=3), encoder_width=2),
+    "svbrdf_nonstationary": SvbrdfNonstationary(SMALL_FIELD_MAPS, PhotoSight(), FieldJudge(), PhotoEncoder(2)),
 }
 
 

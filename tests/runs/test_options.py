@@ -175,7 +175,7 @@ def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: 
     assert planned.app == planned.recipe.app
     assert planned.app.observes == planned.recipe.observes == observe
     prepared = find_checkpoint(planned).phi
-    field = planned.app.network
+    field = planned.app.decoder.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
     learned = load_checkpoint(shipped_checkpoint_path(name, file, "full"))[0].alpha

@@ -7,17 +7,22 @@ is common to the samples of all networks is here, too.
 from __future__ import annotations
 
 import functools
-from abc import ABC, abstractmethod
-from typing import NamedTuple
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.geometry import half_difference_and_cosine
+from metapp.learning.composed import Decoder, Encoder
 from metapp.learning.task import Batch, Params, Tasks, add_task_axis
 from metapp.registry import registry
 
-COUNT_KEY = "count"  # tensor of tasks and batches, [T]: the number of different samples that a fit sees, the first ones
+# A function of places `where` [T, 7, N] that returns reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr
+Reflectance = Callable[[Tensor], Tensor]
 # columns of unit length: luminance, and two axes of colour
 _OPPONENT_AXES = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
 
@@ -56,8 +61,33 @@ class PlainLayers(NamedTuple):
     log_floor: float = 0.0
 
 
-class BrdfNetwork(ABC):
-    """A network of BRDFs; an instance holds its size.
+class ReflectanceSamples(NamedTuple):
+    """Samples of materials, as networks read them; as they are prepared, without a task axis, samples come first.
+
+    Attributes:
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+        target: log(1 + f cos theta_i), [T, 3, N].
+    """
+
+    where: Tensor
+    target: Tensor
+
+
+class DistinctSamples(NamedTuple):
+    """Samples of materials of which it is known how many are different.
+
+    Attributes:
+        where, target: see :class:`ReflectanceSamples`.
+        distinct: how many samples of the first half of a task's, which fits see, are different, [T].
+    """
+
+    where: Tensor
+    target: Tensor
+    distinct: Tensor
+
+
+class BrdfNetwork(Decoder[Reflectance, Any]):
+    """A network of BRDFs, the decoder of reflectance; an instance holds its size.
 
     `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
     `reflectance`, `evaluate` and `fold` read sizes off the parameters, so that any instance can evaluate fits of any
@@ -70,11 +100,6 @@ class BrdfNetwork(ABC):
         return ()
 
     @property
-    def linear_parameter(self) -> str:
-        """The name of the parameter in which the network is linear; "" if there is none."""
-        return ""
-
-    @property
     def anisotropic(self) -> bool:
         """True if the network reads phi_h."""
         return False
@@ -84,9 +109,10 @@ class BrdfNetwork(ABC):
         """True if `conserve_energy` can limit fits to reflecting no more light than they receive."""
         return False
 
-    @abstractmethod
-    def init(self, rng: Generator, count: int) -> Params:
-        """Draw random parameters of `count` materials, [count, ...]."""
+    @override
+    def __call__(self, theta: Params, seen: Any = None) -> Reflectance:
+        """Return the function of places `where` [T, 7, N] that is reflectance, see :meth:`reflectance`."""
+        return functools.partial(self.reflectance, theta)
 
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of General's encoder; {} if there is none."""
@@ -150,41 +176,59 @@ class BrdfNetwork(ABC):
         return data
 
 
-def put_distinct_first(data: Params) -> Params:
-    """Put different samples first among those that a fit sees, the first half, and add how many there are.
+def put_distinct_first(samples: ReflectanceSamples) -> DistinctSamples:
+    """Put different samples first among those that a fit sees, the first half, and count them.
 
     Args:
-        data: `where` [N, 7], and further tensors [N, ...] of the same samples.
-
-    Returns:
-        The tensors in the new order, and COUNT_KEY, a scalar.
+        samples: `where` [N, 7] and `target` [N, 3] of one material.
 
     >>> where = torch.tensor([[0.0], [0.0], [1.0], [2.0], [3.0], [4.0]]).expand(-1, 7)
-    >>> data = put_distinct_first({"where": where})
-    >>> data["where"][:2, 0].tolist(), float(data[COUNT_KEY])
+    >>> samples = put_distinct_first(ReflectanceSamples(where, where[:, :3]))
+    >>> samples.where[:2, 0].tolist(), float(samples.distinct)
     ([0.0, 1.0], 2.0)
     """
-    where, half = data["where"], len(data["where"]) // 2
+    where, half = samples.where, len(samples.where) // 2
     # one number for each pair of directions: a sum whose weights, roots of 1 to 7, are hardly ever in a simple ratio
     pair_numbers = where[:half].double() @ torch.arange(1.0, 1 + where.shape[1]).double().sqrt()
     _, pairs = torch.unique(pair_numbers, return_inverse=True)
     first_rows = torch.full((int(pairs.max()) + 1,), half).scatter_reduce(0, pairs, torch.arange(half), "amin")
-    if len(first_rows) < half:
-        order = torch.arange(len(where))
-        order[: len(first_rows)] = first_rows.sort().values
-        data = {name: value[order] for name, value in data.items()}
-    return data | {COUNT_KEY: torch.tensor(float(len(first_rows)))}
+    distinct = torch.tensor(float(len(first_rows)))
+    if len(first_rows) == half:
+        return DistinctSamples(*samples, distinct)
+    order = torch.arange(len(where))
+    order[: len(first_rows)] = first_rows.sort().values
+    return DistinctSamples(where[order], samples.target[order], distinct)
 
 
-def gather_samples(tasks: Tasks, rows: Tensor) -> Batch:
-    """Return `where` [T, 7, count] and `target` [T, 3, count] of each task's samples at given indices.
+@dataclass(frozen=True)
+class SampleEncoder(Encoder[Any]):
+    """The encoder of samples that a network brings."""
+
+    samples = 1024
+
+    @override
+    def init(self, rng: Generator, decoder: BrdfNetwork) -> Params:
+        return decoder.init_encoder(rng)
+
+    @override
+    def select_input(self, seen: Any) -> Batch:
+        batch: Batch = seen._asdict()
+        return batch
+
+    @override
+    def __call__(self, encoder: Params, encoder_input: Batch, decoder: BrdfNetwork) -> Params:
+        return decoder.encode(encoder, encoder_input)
+
+
+def gather_samples(tasks: Tasks, rows: Tensor) -> ReflectanceSamples:
+    """Return each task's samples at given indices.
 
     Args:
         tasks: T tasks.
         rows: indices of samples, [T, count].
     """
     task_rows = (tasks.rows[:, None], rows)
-    return {key: tasks.data[key][task_rows].transpose(1, 2).contiguous() for key in ("where", "target")}
+    return ReflectanceSamples(*(tasks.data[key][task_rows].transpose(1, 2).contiguous() for key in ("where", "target")))
 
 
 @functools.cache

@@ -19,7 +19,7 @@ from metapp.appearance.pictures import PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
-from metapp.apps.brdf.app import ENCODER_SAMPLES, Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.sample_augmentation import AUGMENTED_SAMPLES
@@ -114,7 +114,7 @@ class BrdfPresenter(Presenter[Brdf]):
     def visible(self, task: Task) -> VisibleData:
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         # the first half of the samples, three angles and a colour each
-        return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, ENCODER_SAMPLES)
+        return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, self.app.encoder.samples)
 
     @override
     def sample_fit(self, theta: Params, task: Task) -> Task:

@@ -12,7 +12,6 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import outgoing_cosine
-from metapp.apps.brdf.brdf_network import COUNT_KEY
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Params, Tasks
 
@@ -77,7 +76,7 @@ def is_reachable(where: Tensor, rng: Generator) -> Tensor:
 def draw_measurements(
     data: Params, rng: Generator, *, dense_share: float = DENSE_SHARE, counts: tuple[int, int] | None = None
 ) -> Params:
-    """Replace the samples that fits see, the first half, by samples as instruments take them; add their COUNT_KEY, [T].
+    """Replace the samples that fits see, the first half, by samples as instruments take them, and add `distinct`, [T].
 
     Some materials keep dense samples, uniform in half and difference angles. Each of the others has a random count,
     uniform in its logarithm, and one of four patterns: uniform samples, samples scattered as pairs of random directions
@@ -105,7 +104,7 @@ def draw_measurements(
     target[:, :half] = torch.log1p(torch.expm1(target[:, :half].gather(1, rows.expand(-1, -1, 3))) * noise)
     least, greatest = counts or (FEWEST_SAMPLES, half)
     sample_counts = least * (greatest / least) ** draw_uniform(rng, tasks)
-    return {"where": where, "target": target, COUNT_KEY: torch.where(is_dense, float(half), sample_counts).round()}
+    return {"where": where, "target": target, "distinct": torch.where(is_dense, float(half), sample_counts).round()}
 
 
 def sample_densities(where: Tensor) -> list[Tensor]:

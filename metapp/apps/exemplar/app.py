@@ -37,6 +37,8 @@ LARGEST_PHOTO_PX = 4096  # side at which photographs are read, of which pieces a
 QUILT_KEYS = ("places", "quilt")  # parameters of fits that the exemplar determines and no step changes
 MOVING_CHANNELS = 2  # channels of noise, at least: two numbers of it say how far down and right tiles are moved
 JUDGED_PICTURES = 4  # pictures of each task whose mean error is reported
+SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
+FILE_SIDE_TIMES = 4  # side of a picture in files over its side in training
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,11 @@ class ExemplarApp(App):
     @override
     def warm_up_app(self) -> ExemplarApp:
         return replace(self, candidates=min(self.candidates, WARM_UP_CANDIDATES))
+
+    def file_size(self, size: tuple[int, int] | None) -> tuple[int, int]:
+        """Return the height and width of files, in px: as asked for, else FILE_SIDE_TIMES the exemplar's."""
+        height, width = self.octaves.octave_size()
+        return size or (FILE_SIDE_TIMES * height, FILE_SIDE_TIMES * width)
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -302,6 +309,12 @@ def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oc
     """
     rng = Generator(like.device).manual_seed(seed)
     return draw_noise(app, rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
+
+
+def shown_noise(app: ExemplarApp, like: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return the noise [1, 1, C, height, width] of the picture that is written and shown, one for all fits."""
+    rng = Generator(like.device).manual_seed(SHOWN_SEED)
+    return draw_normal(rng, 1, 1, noise_channels(app), *size)
 
 
 def move_tiles(tiles: Tensor, noise: Tensor) -> Tensor:

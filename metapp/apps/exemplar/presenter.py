@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
@@ -20,8 +20,7 @@ from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.stretch import MIN_STRETCH_SCORE
 from metapp.appearance.uniform import collapsed_fit_warnings
-from metapp.apps.exemplar.app import ExemplarApp, fixed_noise, noise_channels
-from metapp.learning.random_tensors import draw_normal
+from metapp.apps.exemplar.app import SHOWN_SEED, ExemplarApp, fixed_noise, shown_noise
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.networks.quilted import copied_share, repeated_share, seam_strength
 
@@ -30,8 +29,6 @@ MIN_ORDER_SHARE = 0.5  # share of an exemplar's order below which a picture has 
 # to 1.22; quilts of square blocks at random, which are not cut, have 1.33 to 5.3 on 32 of them.
 MAX_SEAM_STRENGTH = 1.3
 MAX_REPEATED_SHARE = 0.2  # share of a quilt that comes back at one shift, above which an eye finds the repetition
-SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
-FILE_SIDE_TIMES = 4  # side of a picture in files over its side in training
 MIN_FILE_PX = 16  # shortest side of pictures in files
 LARGEST_PX = 4096  # longest side of pictures in files
 
@@ -57,33 +54,22 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         multiples = f"multiples of {step} from " if step > 1 else ""
         return "" if is_possible else f"expects {multiples}{smallest} to {LARGEST_PX}"
 
-    @property
-    def picture_size(self) -> tuple[int, int]:
-        """The height and width of pictures in files, in px: as asked for, else FILE_SIDE_TIMES the exemplar's."""
-        height, width = self.app.octaves.octave_size()
-        return self.size or (FILE_SIDE_TIMES * height, FILE_SIDE_TIMES * width)
-
     @override
     def visible(self, task: Task) -> VisibleData:
         return VisibleData(1, task.data["image"].nbytes, 1)  # each step and the encoder see all of the exemplar
 
     @torch.no_grad()
-    def generate_shown(
-        self, theta: Params, make: Callable[[Params, Tensor], Generated], size: tuple[int, int] | None = None
-    ) -> Generated:
-        """Generate what is written and shown of a fit, from one noise for all fits.
+    def generate_shown(self, theta: Params, make: Callable[[Params, Tensor], Generated]) -> Generated:
+        """Generate what is shown of a fit at the exemplar's size, from one noise for all fits.
 
         Args:
             theta: the fit, without a task axis.
             make: a function of parameters [1, ...] and noise [1, 1, C, H, W], such as :meth:`ExemplarApp.generate`.
-            size: height and width in px; None for the exemplar's.
 
         Returns:
             What `make` returns.
         """
-        batch = add_task_axis(theta)
-        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), noise_channels(self.app)
-        return make(batch, draw_normal(rng, 1, 1, channels, *(size or self.app.octaves.octave_size())))
+        return make(add_task_axis(theta), shown_noise(self.app, theta["z"], self.app.octaves.octave_size()))
 
     @override
     @torch.no_grad()

@@ -18,7 +18,7 @@ from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.radiance_losses import compare_reflected_radiance, compare_texels, reflect_radiance
 from metapp.apps.illumination.suns import SUN_SPECS, find_suns, split_suns
 from metapp.learning.composed import Sight
-from metapp.learning.task import Params, Task, TensorSpec
+from metapp.learning.task import Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import initial_smoothing
 
 # A texel's weight in the inner loss is its solid angle times (1 + LIGHT_WEIGHT * radiance), where radiance is 1 on
@@ -65,9 +65,9 @@ class MapSight(Sight[Lighting, SeenMap]):
         return SeenMap(photos, maps, reflect_radiance(maps), find_suns(maps))
 
     @override
-    def find_parameters(self, seen: SeenMap) -> Params:
+    def find_parameters(self, tasks: Tasks, decoder: LightField) -> Params:
         """Return the suns of the maps, which steps leave as they are."""
-        return split_suns(seen.suns)
+        return split_suns(tasks.data["suns"][tasks.rows])
 
     @property
     @override

@@ -42,7 +42,7 @@ class TrueMap(NamedTuple):
 class RelitJudge(Judge[Lighting, SeenMap | SeenBall, TrueMap]):
     """The judge of maps by a second scene and by spheres under them."""
 
-    truth_type = TrueMap
+    truth_type = sampled_type = TrueMap
 
     @override
     def prepare(self, task: Task, decoder: LightField) -> TrueMap | None:
@@ -57,11 +57,12 @@ class RelitJudge(Judge[Lighting, SeenMap | SeenBall, TrueMap]):
         return TrueMap(maps, reflect_radiance(maps))
 
     @override
-    def errors(self, prediction: Tensor, truth: TrueMap) -> dict[str, Tensor]:
+    def errors(self, prediction: Tensor, seen: SeenMap | SeenBall, truth: TrueMap) -> dict[str, Tensor]:
         """Measure how far maps are off.
 
         Args:
             prediction: linear radiance [T, 3, H, W] at any scale, of the size of fits.
+            seen: what fits see of the maps.
             truth: the true maps.
 
         Returns:

@@ -6,15 +6,19 @@ Its layers and blocks also serve the encoders of the recipes `pretrained` and `s
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
+from typing_extensions import override
 
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, pixel_inputs
 from metapp.learning.task import Params
+from metapp.networks.coded import CodeEncoder
+from metapp.networks.field import LocalField
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
 ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
@@ -24,7 +28,7 @@ FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked f
 WIDEST_TIMES = 8  # the most channels of a level, over the channels of the level of BASE_TEXELS
 
 
-class Encoder(NamedTuple):
+class PhotoUNet(NamedTuple):
     """A U-Net whose levels all know the picture's mean (Ronneberger et al. 2015; Deschaintre et al. 2018).
 
     It reads a photograph at BASE_TEXELS, and if that is larger, its finer levels add to the output of the
@@ -108,6 +112,31 @@ class Encoder(NamedTuple):
             features.append(x)
         output = None if x is None else apply_pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
         return output, features[::-1]
+
+
+@dataclass(frozen=True)
+class PhotoEncoder(CodeEncoder):
+    """The encoder of flash photographs, a :class:`PhotoUNet`.
+
+    Attributes:
+        width: the number of channels of the level of BASE_TEXELS.
+        size: the side of the photograph that the encoder reads; 0 for the side of the decoder's maps.
+        finer: the numbers of channels of the levels above BASE_TEXELS, the coarsest first.
+    """
+
+    width: int = 16
+    size: int = 0
+    finer: tuple[int, ...] = ()
+
+    @override
+    def init_reader(self, rng: Generator, network: LocalField) -> Params:
+        return PhotoUNet(self.width, network.code, self.finer).init(rng)
+
+    @override
+    def read(self, reader: Params, photos: Tensor, network: LocalField) -> Params:
+        photos = adaptive_avg_pool2d(photos, self.size or photos.shape[-1])
+        parameters = PhotoUNet(self.width, network.code, self.finer)(reader, photos)
+        return parameters | {key: parameters[key] / network.gain for key in ("z", "flash")}
 
 
 def upsample(x: Tensor) -> Tensor:

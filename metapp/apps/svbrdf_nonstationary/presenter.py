@@ -6,7 +6,7 @@ knows no network.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -16,30 +16,19 @@ from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display, srgb_to_linear
 from metapp.appearance.flash_rendering import camera_position
-from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings, find_clipped, format_percent
 from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph_maps, scale_relief
-from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees, unpack_maps
-from metapp.appearance.uniform import black_fit_warnings
-from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
+from metapp.appearance.svbrdf_maps import Maps, unpack_maps
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
+from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_radiance
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
 LARGEST_PX = 4096  # longest side of maps in files
 SHOWN_PX = 256  # longest side of maps that are shown
-# Fits of several photographs, on 12 simulated sets of hand-held ones: where fitted normals are tilted by 1.4 to 1.9
-# degrees on average, they are off by 0.8 of true tilts and more; where by 4.9 degrees and more, by 0.2 to 0.6, but for
-# one set of three photographs.
-MIN_TILT_DEGREES = 3.0
-# Deviation of the logs of photographs from those of renderings, averaged over so many blocks a side: up to 0.007, but
-# 0.043 for the set of three photographs, whose normals are off by 0.94 of true tilts.
-MAX_LOG_DIFFERENCE, COMPARED_BLOCKS = 0.02, 8
-# Median |difference| of the logs of photographs and renderings: 0.001 to 0.002 for photographs at exact places; where a
-# phone took them, 0.007 to 0.031, and above it 6 of 7 sets.
-MAX_NOISE = 0.01
-MIN_HIDDEN_SHARE = 0.01  # of a photograph that is said to lie beneath a highlight
 
 
 @dataclass(frozen=True)
@@ -93,10 +82,10 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         """
         maps = self._shown_maps(theta, task)
         pictures = map_pictures(scale_relief(maps, self.relief))
-        if self.app.several_photos:
-            for number, flash in enumerate(self.app.flashes(theta, task), 1):
+        if names := self.app.sight.picture_names(task):
+            for name, flash in zip(names, self.flashes(theta, task), strict=True):
                 radiance = _photograph_by(flash, Maps(*(part[None] for part in maps)))
-                pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
+                pictures[name] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
         return pictures
 
     @override
@@ -114,103 +103,54 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the renderings that errors are of, as displays of gamma 2.2 show them."""
-        if "maps" not in task.data:
+        tasks = stack_tasks(self.app, [task])
+        truth = self.app.find_truth(tasks)
+        if truth is None:
             return None
-        data = add_task_axis(self.app.prepare(task))
-        fitted_maps = self.app.final_maps(add_task_axis(theta), data["photo"])
-        log_pictures = (self.app.judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(data["maps"])))
+        fitted_maps = self.app.prediction(add_task_axis(theta), self.app.see(tasks))
+        log_pictures = (judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(truth.maps)))
         return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in log_pictures))
 
     @override
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the maps under each photograph's flash, as the fit places it."""
-        if self.app.observes != "photo":
+        photos = self.app.sight.photos(task)
+        if photos is None:
             return None
-        flashes = self.app.flashes(theta, task)
-        photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
         photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
-        maps = self.app.final_maps(add_task_axis(theta), photos[:1])
-        pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
+        answer = self.app.decode(theta, task, photos[:1])
+        maps = self.app.sight.fill(answer, photos[:1])
+        pictures = torch.stack([_photograph_by(flash, maps) for flash in answer.flash_of_each_photo()])
         return PictureComparison(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
 
     @override
     @torch.no_grad()
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        """Return the number of photographs, if fits see several, and where they see photographs alone, the mean tilt.
-
-        `mean_tilt_degrees` is the mean tilt of fitted normals, without the factor `relief`.
-        """
-        counts = {"counts": {"photos": self._photo_count(task)}} if self.app.several_photos else {}
-        if self.app.observes != "photo":
-            return counts
-        maps = self.app.maps_of(add_task_axis(theta), _small_photo(task))
-        return {"mean_tilt_degrees": mean_tilt_degrees(maps.normal)} | counts
+        """Return the remarks of the sight on the fit; `mean_tilt_degrees` is without the factor `relief`."""
+        return self.app.sight.fit_remarks(self.app.decode(theta, task, _small_photo(task)), task)
 
     @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Return clauses on maps that are black where the photo is not and, where maps are filled, on highlights.
-
-        Fits of several photographs have clauses on clipping, where all photographs clip, on parts of photographs that
-        were left out, since they show something else than the material, on relief that is about as low as its errors,
-        and on photographs that the maps do not explain.
-        """
-        app = self.app
-        if app.several_photos and app.observes == "photo":
-            return [
-                self._warn_of_several({key: value[number] for key, value in theta.items()}, tasks.data, row)
-                for number, row in enumerate(tasks.rows)
-            ]
-        photos = tasks.data["photo"][tasks.rows]
-        maps = app.maps_of(theta, photos)
-        warnings = [
-            black_fit_warnings(colours, photo)
-            for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
-        ]
-        if not app.fills:
-            return warnings
-        displayed_photos = linear_to_srgb(photos)
-        shares = find_clipped(displayed_photos).float().mean((1, 2, 3)).tolist()
-        effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
-        clipped = [clipped_highlight_warnings(*pair) for pair in zip(displayed_photos, effects, strict=True)]
-        hidden = [
-            [f"{format_percent(share)} of the photo lies beneath a highlight: colours and gloss there are guesses"]
-            if share >= MIN_HIDDEN_SHARE
-            else []
-            for share in app.hidden_share(theta, maps).tolist()
-        ]
-        return [black + white + under for black, white, under in zip(warnings, clipped, hidden, strict=True)]
-
-    def _warn_of_several(self, theta: Params, data: Mapping[str, Tensor], row: Tensor) -> list[str]:
-        """Return the clauses on a fit of several photographs, without task axis, whose data are in a row of `data`."""
-        photos, shows_material = data["photos"][row], data["unobstructed"][row]
-        maps = self.app.maps_of(add_task_axis(theta), photos[:1])
-        flashes = self.app.flashes(theta, Task("", {"places": data["places"][row]}))
-        renderings = torch.stack([_photograph_by(flash, maps) for flash in flashes])
-        return [
-            *clipped_highlight_warnings(linear_to_srgb(photos.amin(0)), F0_BOUND_CLAUSE, "all photos"),
-            *_left_out_warnings((1 - shows_material.mean((1, 2, 3))).tolist()),
-            *_flat_warnings(mean_tilt_degrees(maps.normal)),
-            *_unexplained_warnings(photos, renderings, shows_material),
-        ]
+        seen = self.app.see(tasks)
+        return self.app.sight.quality_warnings(self.app.decoder(theta, seen), seen)
 
     @override
     def visible(self, task: Task) -> VisibleData:
-        """Return the maps or all photographs, all of them in each step; General's encoder reads photographs alone."""
-        if self.app.observes == "photo":
-            count = self._photo_count(task)
-            return VisibleData(count, task.data["photo"].nbytes, count)
-        return VisibleData(1, task.data["maps"].nbytes, 0)
+        return self.app.sight.describe_visible(task)
 
-    def _photo_count(self, task: Task) -> int:
-        """Return the number of photographs that a fit sees."""
-        return 1 + len(task.data.get("others", ())) if self.app.several_photos else 1
+    @torch.no_grad()
+    def flashes(self, theta: Params, task: Task) -> list[Flash]:
+        """Return the flash of each photograph, without axes, as the fit, without a task axis, places it."""
+        flashes: list[Flash] = self.app.decode(theta, task, _small_photo(task)).flash_of_each_photo()
+        return flashes
 
     def _small_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, h, w] of at most SHOWN_PX a side, as fitted, and the linear photograph [1, 3, h, w]."""
         photo = _small_photo(task)
-        return Maps(*(part[0] for part in self.app.final_maps(add_task_axis(theta), photo))), photo
+        maps = self.app.sight.fill(self.app.decode(theta, task, photo), photo)
+        return Maps(*(part[0] for part in maps)), photo
 
     def _shown_maps(self, theta: Params, task: Task) -> Maps:
         """Return the maps [C, H, W] of the size of files, as fitted."""
@@ -218,58 +158,10 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         def make() -> Maps:
             photo = _resize_photo(task, side)
-            fits = add_task_axis(theta)
-            return self.app.fill(fits, self.app.fine_maps(fits, photo), photo)
+            return self.app.sight.fill(self.app.decode(theta, task, photo), photo)
 
         maps = self.cache_last(theta, task, make)
         return Maps(*(part[0] for part in maps))
-
-
-def _flat_warnings(tilt_degrees: float) -> list[str]:
-    """Return a clause on the relief of a surface whose normals are tilted by little on average; [] for more relief.
-
-    >>> _flat_warnings(5.0)
-    []
-    """
-    if tilt_degrees >= MIN_TILT_DEGREES:
-        return []
-    return [
-        f"the surface is nearly flat, with normals tilted by {tilt_degrees:.1f} degrees on average: relief is about as "
-        "large as its errors"
-    ]
-
-
-def _unexplained_warnings(photos: Tensor, renderings: Tensor, shows_material: Tensor) -> list[str]:
-    """Return a clause on how far photographs differ from renderings of the maps; [] where they agree.
-
-    Differences over wide areas come first; else those from texel to texel count, by their median.
-
-    Args:
-        photos: linear photographs [N, 3, H, W].
-        renderings: the same photographs, rendered from the maps.
-        shows_material: 1 where photographs show the material, else 0, [N, 1, H, W].
-    """
-    logs = (photos + RADIANCE_FLOOR).log() - (renderings.clamp(0, 1) + RADIANCE_FLOOR).log()
-    difference = float(adaptive_avg_pool2d(logs.mean(1, keepdim=True) * shows_material, COMPARED_BLOCKS).std())
-    if difference > MAX_LOG_DIFFERENCE:
-        return [
-            f"photos differ from pictures of the maps by {100 * difference:.0f} % over wide areas: a place, a flash or "
-            "the surface is not as assumed, and maps may be wrong"
-        ]
-    noise = float(logs.abs()[shows_material.expand_as(logs) > 0].median())
-    if noise <= MAX_NOISE:
-        return []
-    return [
-        f"photos differ from pictures of the maps by {100 * noise:.1f} % from texel to texel, expected up to "
-        f"{100 * MAX_NOISE:.0f} %: by relief that moves as the camera does, by places or by the camera's colours; "
-        "relief may be wrong"
-    ]
-
-
-def _left_out_warnings(shares: Sequence[float]) -> list[str]:
-    """Return a clause on the parts of photographs that were left out, given their shares; [] where none was."""
-    parts = [f"{format_percent(share)} of photo {number}" for number, share in enumerate(shares, 1) if share]
-    return [f"{' and '.join(parts)} left out, where others disagree: an object or a shadow?"] if parts else []
 
 
 def _resize_photo(task: Task, side: int) -> Tensor:

@@ -8,7 +8,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.photo_recipes import recipes_of_references_and_photos
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder
+from metapp.apps.svbrdf_nonstationary.field_judge import FieldJudge
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps, field_of
+from metapp.apps.svbrdf_nonstationary.maps_sight import MapsSight
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 
 # Rules are trained with exact second order from General's encoder, which goes on learning through the steps of fits.
@@ -27,6 +32,7 @@ LEARNED = MetaTraining(
         Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final_rate_share=0.1), max_loss_share=0.4, max_rise_factor=2.0
     ),
 )
+QUICK_APP = SvbrdfNonstationary(FieldMaps(field_of(64, 32)), MapsSight(), FieldJudge(), PhotoEncoder())
 QUICK = Recipe(
     steps=15,
     samples=1,
@@ -40,7 +46,7 @@ QUICK = Recipe(
     ),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    app=FromMaps(field_of(64, 32)),
+    app=QUICK_APP,
 )
 # A photograph says little that General has not read from it: steps are small, and training through them is short.
 GENTLE = replace(
@@ -48,7 +54,7 @@ GENTLE = replace(
 )
 PHOTO = replace(
     QUICK,
-    app=FromPhoto(field_of(64, 32)),
+    app=replace(QUICK_APP, sight=PhotoSight()),
     finetune=Adam(1e-4, final_rate_share=0.0),
     quickft=GENTLE.initial_adam,
     meta={"meta-encoder": GENTLE},
@@ -60,15 +66,27 @@ REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
     PHOTO,
     full=[
         # the code that is read at 64 texels, and what rules learned there, on a finer grid
-        FromMaps(field_of(128, 32), encoder_size=64),
+        replace(QUICK_APP, decoder=FieldMaps(field_of(128, 32)), encoder=PhotoEncoder(size=64), read_px=FINEST_PX),
         # photographs at the size that people use, by an encoder with levels for it
-        FromPhoto(field_of(256, 32), encoder_finer=FINER),
+        SvbrdfNonstationary(
+            FieldMaps(field_of(256, 32), "raised"),
+            PhotoSight(fills=True),
+            FieldJudge(),
+            PhotoEncoder(finer=FINER),
+            FINEST_PX,
+        ),
     ],
     # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
-    paper=[app(field_of(256, 64), encoder_width=64) for app in (FromMaps, FromPhoto)],
+    paper=[
+        SvbrdfNonstationary(FieldMaps(field_of(256, 64)), sight, FieldJudge(), PhotoEncoder(64))
+        for sight in (MapsSight(), PhotoSight())
+    ],
 )
 # 64 texels a side, at which an outer step takes seconds on CPUs
-REFERENCE_RECIPES["paper-64"] = replace(REFERENCE_RECIPES["paper"], app=FromMaps(field_of(64, 64), encoder_width=64))
+REFERENCE_RECIPES["paper-64"] = replace(
+    REFERENCE_RECIPES["paper"],
+    app=SvbrdfNonstationary(FieldMaps(field_of(64, 64)), MapsSight(), FieldJudge(), PhotoEncoder(64)),
+)
 # 20 outer steps of training a rule raised validation errors, so that the rule is an Adam that is searched for.
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 PHOTO_RECIPES["full"] = replace(

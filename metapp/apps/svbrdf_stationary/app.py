@@ -17,7 +17,15 @@ from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.highlight import remove_shading
 from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics
-from metapp.apps.exemplar.app import ExemplarApp, PictureChanges, draw_noise, fixed_noise, generate_raw, move_tiles
+from metapp.apps.exemplar.app import (
+    ExemplarApp,
+    PictureChanges,
+    draw_noise,
+    fixed_noise,
+    generate_raw,
+    move_tiles,
+    shown_noise,
+)
 from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT
 from metapp.learning.app import ErrorMeasure
@@ -207,6 +215,25 @@ class SvbrdfStationary(ExemplarApp):
     @override
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Maps:
         return self.generate_maps(theta, noise, octave)[0]
+
+    @torch.no_grad()
+    def draw_maps(self, theta: Params, task: Task, size: tuple[int, int] | None) -> tuple[Maps, Tensor]:
+        """Draw the maps of a fit for files; they tile.
+
+        Args:
+            theta: a fit, with a task axis of length 1.
+            task: the task that was fitted.
+            size: height and width in texels; None for the usual size.
+
+        Returns:
+            Maps [C, H, W], and their height [1, H, W] in texels.
+        """
+        maps, heights = self.generate_maps(theta, shown_noise(self, theta["z"], self.file_size(size)))
+        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
+
+    def photo_share(self, task: Task, size: tuple[int, int] | None) -> float:
+        """Return the width of the photo over the width of maps in files, in which structures are of equal size."""
+        return self.octaves.width / self.file_size(size)[1]
 
 
 def _gloss_deviation(maps: Maps, expected: Tensor) -> Tensor:

@@ -20,11 +20,10 @@ from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warni
 from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
-from metapp.apps.exemplar.app import fixed_noise
-from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
+from metapp.apps.exemplar.app import SHOWN_SEED, fixed_noise
+from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
-from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
 # Strength of a picture's lines over the photo's. Chosen by fits of 39 photographs that were graded by eye; on every
@@ -110,34 +109,14 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
             for clauses, image, normal in zip(warnings, images, maps.normal, strict=True)
         ]
 
-    def photo_share(self, task: Task) -> float:
-        """Return the width of the photo over the width of maps in files, in which structures are of equal size."""
-        if not isinstance(self.app, QuiltedSvbrdf):
-            return self.app.octaves.width / self.picture_size[1]
-        return task.data["image"].shape[-1] / self.size[1] if self.size else 1.0
-
     def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, H, W] and height [1, H, W] in texels at the size of files, scaled by `relief`."""
-        maps, height = self.cache_last(theta, task, lambda: self._draw_maps(theta, task))
+        maps, height = self.cache_last(theta, task, lambda: self.app.draw_maps(add_task_axis(theta), task, self.size))
         return scale_relief(maps, self.relief), self.relief * height
 
-    def _draw_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        """Return maps [C, H, W] and height [1, H, W] in texels at the size of files."""
-        if isinstance(self.app, QuiltedSvbrdf):
-            return self.app.draw_maps(add_task_axis(theta), task, self.size)
-        return self._generate_material(theta, self.picture_size)
-
-    def _generate_material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
-        """Generate the maps of one material and their height.
-
-        Args:
-            theta: the fit, without a task axis.
-            size: height and width in texels; None for the exemplar's.
-
-        Returns:
-            Maps [C, H, W], and the height [1, H, W] in texels.
-        """
-        maps, heights = self.generate_shown(theta, self.app.generate_maps, size)
+    def _generate_material(self, theta: Params) -> tuple[Maps, Tensor]:
+        """Generate maps [C, H, W] of one material at the exemplar's size, and their height [1, H, W] in texels."""
+        maps, heights = self.generate_shown(theta, self.app.generate_maps)
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
 

@@ -127,6 +127,11 @@ class QuiltedSvbrdf(SvbrdfStationary):
         )
         return (factor * photo + offset).clamp(0, 1)
 
+    @override
+    def photo_share(self, task: Task, size: tuple[int, int] | None) -> float:
+        return task.data["image"].shape[-1] / size[1] if size else 1.0
+
+    @override
     @torch.no_grad()
     def draw_maps(self, theta: Params, task: Task, size: tuple[int, int] | None) -> tuple[Maps, Tensor]:
         """Make the maps of a fit at the resolution of its photograph; they tile.

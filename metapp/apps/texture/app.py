@@ -13,11 +13,11 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
+from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw, shown_noise
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.random_tensors import draw_uniform
-from metapp.learning.task import Batch, Params, Tasks, TensorSpec
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 MIN_CROP_SHARE = 0.5  # shortest side of random crops over the side of the exemplar
 
@@ -74,6 +74,24 @@ class Texture(ExemplarApp):
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """Generate textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
         return torch.sigmoid(generate_raw(self, theta, noise, octave))
+
+    @torch.no_grad()
+    def draw_tile(self, theta: Params, task: Task, size: tuple[int, int] | None) -> Tensor:
+        """Draw the texture of a fit for a file; it tiles.
+
+        Args:
+            theta: a fit, with a task axis of length 1.
+            task: the task that was fitted.
+            size: height and width in px; None for the usual size.
+
+        Returns:
+            The texture [3, H, W], sRGB in [0, 1].
+        """
+        return self.generate(theta, shown_noise(self, theta["z"], self.file_size(size)))[0, 0]
+
+    def take_file_exemplar(self, task: Task) -> Tensor:
+        """Return the exemplar [3, H, W], sRGB in [0, 1], in which structures are as large as in files."""
+        return self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:

@@ -16,7 +16,6 @@ from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.texture.app import Texture
-from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.learning.task import Params, Task, add_task_axis
 
 # Strength of a texture's lines over the exemplar's, below which lines are broken. Of fits of 66 photographs five are
@@ -45,11 +44,6 @@ class TexturePresenter(ExemplarPresenter[Texture]):
         exemplar = self.app.octaves.take_exemplar(task.data["image"][None].float() / 255)
         return PictureComparison(self.generate_shown(theta, self.app.generate)[0], exemplar)
 
-    def exemplar_at_file_scale(self, task: Task) -> Tensor:
-        """Return the exemplar [3, H, W], sRGB in [0, 1], in which structures are as large as in files."""
-        photo = task.data["image"][None].float() / 255
-        return photo[0] if isinstance(self.app, QuiltedTexture) else self.app.octaves.take_exemplar(photo)[0]
-
     @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         return {"texture": Picture(self._texture(theta, task).permute(1, 2, 0), "srgb")}
@@ -65,10 +59,4 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
     def _texture(self, theta: Params, task: Task) -> Tensor:
         """Return the texture at the size of files, [3, H, W], sRGB in [0, 1]; it tiles."""
-
-        def make() -> Tensor:
-            if isinstance(self.app, QuiltedTexture):
-                return self.app.draw_tile(add_task_axis(theta), task, self.size)
-            return self.generate_shown(theta, self.app.generate, self.picture_size)[0, 0]
-
-        return self.cache_last(theta, task, make)
+        return self.cache_last(theta, task, lambda: self.app.draw_tile(add_task_axis(theta), task, self.size))

@@ -80,6 +80,11 @@ class QuiltedTexture(Texture):
         exemplar = self.octaves.take_exemplar(photo[None])[0]
         return subtract_trend(photo, exemplar, remove_quadratic_trend(exemplar))
 
+    @override
+    def take_file_exemplar(self, task: Task) -> Tensor:
+        return task.data["image"].float() / 255
+
+    @override
     @torch.no_grad()
     def draw_tile(self, theta: Params, task: Task, size: tuple[int, int] | None) -> Tensor:
         """Fetch the texture of a fit from its photograph; it tiles.

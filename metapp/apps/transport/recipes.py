@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.path_fits import FlowDensity
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, long_paper_recipe, paper_recipe
 
 # exact second order, from General's encoder, which goes on learning through the steps
@@ -43,10 +44,10 @@ QUICK = Recipe(
     ),
     meta={"meta-encoder": LEARNED},
     rule="meta-encoder",
-    app=Transport(Flow()),
+    app=Transport(FlowDensity(Flow())),
 )
 # the fits of `quick`, judged by pictures of the size that people render
-FULL = replace(QUICK, app=Transport(Flow(), picture=256))
+FULL = replace(QUICK, app=Transport(FlowDensity(Flow()), picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
-PAPER = replace(paper_recipe(QUICK, Transport(Flow(hidden=64, bins=16))), samples=10_000)
+PAPER = replace(paper_recipe(QUICK, Transport(FlowDensity(Flow(hidden=64, bins=16)))), samples=10_000)
 RECIPES = {"paper": PAPER, "paper-long": long_paper_recipe(PAPER), "quick": QUICK, "full": FULL}

@@ -7,20 +7,45 @@ a picture: scenes and paths are not known here.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, leaky_relu
+from typing_extensions import override
 
 from metapp.appearance.latlong import luminance
 from metapp.apps.transport.flow import Flow
-from metapp.learning.task import Params
+from metapp.apps.transport.path_fits import FlowDensity, SeenPaths
+from metapp.learning.composed import Encoder
+from metapp.learning.task import Batch, Params
+from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
 ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
 LIGHT_FLOOR = 0.01  # luminance in a picture of mean luminance 1, below which its log is flat
 # channels of convolutions, maps by which the whole picture is pooled, and convolutions after that
 ENCODER_CHANNELS, ATTENTION_HEADS, RESIDUAL_BLOCKS = 48, 8, 3
+
+
+@dataclass(frozen=True)
+class ScenePictureEncoder(Encoder[SeenPaths]):
+    """The encoder of pictures of scenes; all flows share the parameters that no picture tells."""
+
+    @override
+    def init(self, rng: Generator, decoder: FlowDensity) -> Params:
+        """Draw the reader of pictures, and the parameters of the flow that all tasks share."""
+        network = decoder.network
+        return join_encoder(init_reader(rng, network.code), network.init(rng, 1), ("z", "film.x", "film.y"))
+
+    @override
+    def select_input(self, seen: SeenPaths) -> Batch:
+        return {"image": seen.image}
+
+    @override
+    def __call__(self, encoder: Params, encoder_input: Batch, decoder: FlowDensity) -> Params:
+        read = read_scene_pictures(select_reader(encoder), encoder_input["image"], decoder.network)
+        return add_decoder(read, encoder)
 
 
 def init_reader(rng: Generator, code: int) -> Params:

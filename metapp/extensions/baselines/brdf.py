@@ -46,7 +46,7 @@ def task_places(tasks: Tasks) -> Tensor:
 
 
 def draw_seen_rows(tasks: Tasks, rng: Generator, count: int) -> tuple[Tensor, Tensor]:
-    """Draw random samples of the selected task from the half that fits see, as `Brdf.sample` does.
+    """Draw random samples of the selected task from the half that fits see, as `SampleSight.sample` does.
 
     Returns:
         Rows [n] of the samples, and their targets [n, 3], log(1 + f cos theta_i).

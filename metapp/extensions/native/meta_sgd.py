@@ -17,7 +17,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.held_out_judge import HeldOutJudge
 from metapp.apps.brdf.nbrdf_network import Nbrdf
+from metapp.apps.brdf.sample_sight import SampleSight
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
 from metapp.learning.learn import DescentState
@@ -98,6 +100,8 @@ def _has_c_form(paradigm: Meta, outer_loop: MetaTraining, params: Params, tasks:
     app = paradigm.app
     overridden = ("sample", "outer_sample", "outer_loss", "loss", "coarsen")  # by a subclass, which torch alone knows
     if not isinstance(app, Brdf) or any(getattr(type(app), name) is not getattr(Brdf, name) for name in overridden):
+        return False
+    if type(app.sight) is not SampleSight or type(app.judge) is not HeldOutJudge:
         return False
     if type(app.network) is not Nbrdf or [type(part) for part in paradigm.learned_rule.parts] != [SignedRates]:
         return False

@@ -1,4 +1,4 @@
-"""The loss of the NBRDF network in C (`nbrdf.c`): `Brdf.loss` and its derivatives, for flat parameters [T, 675].
+"""The loss of the NBRDF network in C (`nbrdf.c`): `SampleSight.loss` and its derivatives, for flat parameters [T, 675].
 
 A step spends most of its time in this loss. The module knows the loss of the BRDF application, but no rule of learning.
 """
@@ -15,6 +15,7 @@ from torch import Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import parameter_shapes
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
+from metapp.apps.brdf.sample_sight import SampleSight
 from metapp.extensions.native.compiler import load_library
 from metapp.learning.adjoint import Loss
 from metapp.learning.task import Batch, Params
@@ -23,13 +24,16 @@ NBRDF_PARAMETER_SHAPES = parameter_shapes(NBRDF_NETWORK)
 
 
 def has_c_loss(loss: Loss, theta: Params) -> bool:
-    """Return whether the loss is `Brdf.loss` of an NBRDF's parameters in float32 on the CPU, and a compiler exists."""
+    """Return whether the loss is `SampleSight.loss` of an NBRDF in float32 on the CPU, and a compiler exists."""
     has_nbrdf_shapes = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF_PARAMETER_SHAPES
     is_cpu_float32 = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
     if not has_nbrdf_shapes or not is_cpu_float32 or type(loss).gradient is not Loss.gradient:
         return False
-    # a subclass of Brdf that overrides the loss gets steps by torch
-    return getattr(loss.value, "__func__", loss.value) is Brdf.loss and load_nbrdf_library() is not None
+    # a subclass of Brdf or of its sight that overrides the loss gets steps by torch
+    app = getattr(loss.value, "__self__", None)
+    if not isinstance(app, Brdf) or loss.value != app.loss or type(app).loss is not Brdf.loss:
+        return False
+    return type(app.sight).loss is SampleSight.loss and load_nbrdf_library() is not None
 
 
 @functools.cache

@@ -11,8 +11,8 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
-from metapp.apps.svbrdf_nonstationary.maps import pixel_inputs
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
 from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
 
@@ -36,7 +36,7 @@ class MaterialModule(torch.nn.Module):
         encoder: the parameters of General's encoder.
     """
 
-    def __init__(self, app: CodedMaps, encoder: Params) -> None:
+    def __init__(self, app: SvbrdfNonstationary, encoder: Params) -> None:
         super().__init__()
         self.app = app
         self.names = {name.replace(".", "-"): name for name in encoder}
@@ -46,11 +46,12 @@ class MaterialModule(torch.nn.Module):
     @override
     def forward(self, photo: Tensor) -> tuple[Tensor, ...]:
         linear = srgb_to_linear(photo)
-        inputs = pixel_inputs(linear)
+        seen = SeenPhoto(linear, linear.new_zeros(1, 1))
         encoder = {name: self.encoder[key] for key, name in self.names.items()}
-        theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
-        code = self.app.network.gain * theta["z"]  # one in each pixel
-        maps = self.app.maps_from(self.app.network.evaluate(theta, code, inputs))
+        decoder = self.app.decoder
+        theta = self.app.encode(encoder, self.app.encoder.select_input(seen))
+        code = decoder.network.gain * theta["z"]  # one in each pixel
+        maps = decoder.finish_maps(decoder.network.evaluate(theta, code, seen.inputs))
         return tuple(getattr(maps, name) for name in MODEL_OUTPUTS)
 
     def reads_any_size(self) -> bool:
@@ -65,7 +66,7 @@ class MaterialModule(torch.nn.Module):
                 return False
 
 
-def encode_photo_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
+def encode_photo_model(app: SvbrdfNonstationary, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
     """Trace General of flash photographs as an ONNX model.
 
     Args:
@@ -80,7 +81,7 @@ def encode_photo_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -
     Raises:
         ValueError: onnx or onnxscript is not installed.
     """
-    model, side = MaterialModule(app, encoder), app.network.height
+    model, side = MaterialModule(app, encoder), app.decoder.network.height
     any_size = model.reads_any_size()
     # the example has two different sides, so that the trace does not take height and width for one number
     shape = (side, side - 8 * MODEL_SIDE_STEP_PX) if any_size else (side, side)

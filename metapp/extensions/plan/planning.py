@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import MeasuredPairs
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
-from metapp.apps.brdf.brdf_network import COUNT_KEY
+from metapp.apps.brdf.brdf_network import DistinctSamples
 from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
 from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
@@ -76,9 +76,9 @@ def fit_likeliest_model(encoder: Params, angles: Tensor, reflectance: Tensor) ->
     """
     where = places_at_angles(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
-    batch = {"where": where, "target": target, COUNT_KEY: torch.tensor([float(len(angles))])}
-    theta = FEW_NETWORK.encode(encoder, batch)
-    fit = ridge_regression(theta, batch)
+    samples = DistinctSamples(where, target, torch.tensor([float(len(angles))]))
+    theta = FEW_NETWORK.encode(encoder, samples._asdict())
+    fit = ridge_regression(theta, samples)
     posterior = Posterior.from_samples(theta, where, error_slope(reflectance.T[None].float(), where))
     moment = (fit.residual[0] * fit.weights[0] / len(angles)) @ fit.features[0].T
     change = torch.einsum("cfg,cg->cf", posterior.covariance, moment.double())

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.brdf_network import opponent_axes
+from metapp.apps.brdf.brdf_network import DistinctSamples, opponent_axes
 from metapp.apps.brdf.feature_network import isotropic_inputs
 from metapp.apps.brdf.few.app import MAX_FEW_SAMPLES, TABLE_SAMPLES, TRAINING_SAMPLE_RANGE, FewSamples
 from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
@@ -25,7 +25,7 @@ from metapp.apps.brdf.few.gaussian_model import (
     sample_precision,
 )
 from metapp.learning.app import stack_tasks
-from metapp.learning.task import Batch, Params, Tasks
+from metapp.learning.task import Params, Tasks
 
 APP = FewSamples(Few(width=12, features=7))
 NOTHING = torch.zeros(0, 3)
@@ -53,12 +53,12 @@ def angles_of(count: int, seed: int = 2) -> Tensor:
     return draws[(above[0, 6] > 0.05) & (cosine_product(above)[0, 0] > 0.05)][:count]
 
 
-def batch_of(theta: Params, where: Tensor) -> Batch:
+def samples_of(theta: Params, where: Tensor) -> DistinctSamples:
     """Samples of a material that the model draws."""
     change = torch.randn(theta["last"].shape, generator=Generator().manual_seed(3), dtype=torch.float64)
     drawn = theta | {"last": theta["last"] + theta["deviation"].exp() * change}
     target = torch.log1p(model_reflectance(drawn, where).clamp_min(0) * where[:, 6:])
-    return {"where": where, "target": target, "count": torch.tensor([float(where.shape[2])], dtype=torch.float64)}
+    return DistinctSamples(where, target, torch.tensor([float(where.shape[2])], dtype=torch.float64))
 
 
 def test_opponent_axes_are_orthonormal(theta: Params) -> None:
@@ -81,9 +81,9 @@ def test_the_slope_is_that_of_finite_differences(where: Tensor) -> None:
 
 def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor) -> None:
     """A least-squares solver on augmented rows agrees; the covariance is the inverse of the normal equations."""
-    batch = batch_of(theta, where)
-    at = ridge_regression(theta, batch)
-    seen = batch["target"].expm1() / where[:, 6:7]
+    samples = samples_of(theta, where)
+    at = ridge_regression(theta, samples)
+    seen = samples.target.expm1() / where[:, 6:7]
     logs = opponent_axes(theta["last"]).T @ (seen * cosine_product(where) + DARKEST_REFLECTANCE).log()
     features, weights = model_features(theta, where)[0], sample_precision(theta, error_slope(seen, where))[0]
     torch.testing.assert_close(at.weights[0], weights * where.shape[2])
@@ -107,15 +107,15 @@ def _like(theta: Params) -> Params:
 
 def test_evidence_agrees_with_the_likelihood_of_samples(theta: Params, where: Tensor) -> None:
     """Differences between models are those of the normal distributions of the logarithms, written out."""
-    batch, logs = batch_of(theta, where), []
+    samples, logs = samples_of(theta, where), []
     for model in (theta, _like(theta)):
         features = model_features(model, where)[0]
-        weights = sample_precision(model, error_slope(batch["target"].expm1() / where[:, 6:7], where))[0]
-        at = ridge_regression(model, batch).residual[0]
+        weights = sample_precision(model, error_slope(samples.target.expm1() / where[:, 6:7], where))[0]
+        at = ridge_regression(model, samples).residual[0]
         spread = model["deviation"][0].exp().square()
         covariances = torch.einsum("fn,cf,fm->cnm", features, spread, features) + torch.diag(1 / weights)
         normal = torch.distributions.MultivariateNormal(torch.zeros_like(at), covariances)
-        logs.append((log_evidence(model, batch)[0], normal.log_prob(at).sum()))
+        logs.append((log_evidence(model, samples)[0], normal.log_prob(at).sum()))
     (first, expected), (second, other) = logs
     torch.testing.assert_close(first - second, expected - other)
 
@@ -126,8 +126,8 @@ def test_samples_select_the_kind_of_material(theta: Params, where: Tensor) -> No
     encoder["encoder.last"] = 0.5 * torch.randn(3, 3, 8, generator=rng).double()
     encoder["encoder.deviation"] -= torch.tensor([0.0, 0.5, 1.0])[:, None, None].double()
     models = [size.select_kinds(encoder, torch.tensor([kind])) for kind in range(3)]
-    batches = [batch_of(model, where) for model in models]
-    batch = {key: torch.cat([single_batch[key] for single_batch in batches]) for key in batches[0]}
+    samples = [samples_of(model, where) for model in models]
+    batch = {key: torch.cat([getattr(single, key) for single in samples]) for key in DistinctSamples._fields}
     found = size.encode(encoder, batch)
     assert torch.equal(found["last"], encoder["encoder.last"])
     assert found["w1"].shape == (3, 12, 15)
@@ -169,11 +169,11 @@ def test_linear_layers_agree_with_the_network(theta: Params, where: Tensor) -> N
 def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
     task = make_brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
     data = Brdf().prepare(task)
-    assert float(APP.prepare(task)["count"]) == TABLE_SAMPLES
+    assert float(APP.prepare(task)["distinct"]) == TABLE_SAMPLES
     rows = torch.arange(2048) % 40 + 100
     cut = {key: torch.cat([task.data[key][rows], task.data[key][2048:]]) for key in ("angles", "reflectance")}
     found = APP.prepare(task._replace(data=cut))
-    assert float(found["count"]) == 40
+    assert float(found["distinct"]) == 40
     assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
     assert torch.equal(found["where"][2048:], data["where"][2048:])
     batch = APP.sample(stack_tasks(APP, [task]), Generator(), MAX_FEW_SAMPLES)
@@ -185,8 +185,8 @@ def test_training_draws_few_samples_of_each_material() -> None:
     tasks = Tasks(tuple("abcdef"), {"where": where, "target": torch.rand(6, 2000, 3)}, torch.arange(6))
     data = APP.augment(tasks, Generator().manual_seed(0)).data
     least, greatest = TRAINING_SAMPLE_RANGE
-    assert bool(((data["count"] >= least) & (data["count"] <= greatest)).all())
-    assert len(data["count"].unique()) > 1
+    assert bool(((data["distinct"] >= least) & (data["distinct"] <= greatest)).all())
+    assert len(data["distinct"].unique()) > 1
 
 
 # Plans

@@ -11,16 +11,17 @@ from torch import Generator
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.features import VGG_BLOCKS
-from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
-from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
-from metapp.apps.svbrdf_nonstationary.pretrained.recipe import PRETRAINED
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.field_maps import field_of
+from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanField
+from metapp.apps.svbrdf_nonstationary.pretrained.recipe import PRETRAINED, of_features
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Tasks
 from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32  # px of the maps
-RECIPE = replace(PRETRAINED, app=FromFeatures(MeanField(*field_of(SIDE, 8))))
+RECIPE = replace(PRETRAINED, app=of_features(MeanField(*field_of(SIDE, 8))))
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +44,12 @@ def random_vgg_in_cache(random_vgg_file: Path, cache: Path) -> None:
 
 
 @pytest.fixture
-def app() -> FromFeatures:
+def app() -> SvbrdfNonstationary:
     small_app = RECIPE.app
-    assert isinstance(small_app, FromFeatures)
+    assert isinstance(small_app, SvbrdfNonstationary)
     return small_app
 
 
 @pytest.fixture
-def tasks(app: FromFeatures) -> Tasks:
+def tasks(app: SvbrdfNonstationary) -> Tasks:
     return stack_tasks(app, [make_svbrdf_task(f"material-{seed}", material(seed, 2 * SIDE)) for seed in range(4)])

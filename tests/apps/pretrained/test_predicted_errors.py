@@ -4,9 +4,9 @@ import pytest
 import torch
 from torch import Generator
 
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS
-from metapp.apps.svbrdf_nonstationary.pretrained import app as pretrained
-from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures
+from metapp.apps.svbrdf_nonstationary.pretrained import feature_judge
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import PARTS, laplace_scales, negative_log_likelihood
 from metapp.learning.task import Tasks
 
@@ -20,25 +20,25 @@ def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generat
     log = torch.full((1, len(PARTS), 1, 1), -1.0, requires_grad=True)
     adam = torch.optim.Adam([log], 0.05)
     for _ in range(200):
-        theta = {"deviation": log.expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS)}
-        loss = negative_log_likelihood(off.split(CHANNELS, 1), theta).sum()
+        deviation = log.expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS)
+        loss = negative_log_likelihood(off.split(CHANNELS, 1), deviation).sum()
         adam.zero_grad()
         loss.backward()
         adam.step()
-    theta = {"deviation": log.detach().expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS)}
-    torch.testing.assert_close(laplace_scales(theta), torch.full_like(laplace_scales(theta), 0.1), rtol=0.05, atol=0)
+    scales = laplace_scales(log.detach().expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS))
+    torch.testing.assert_close(scales, torch.full_like(scales, 0.1), rtol=0.05, atol=0)
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_likelihood_moves_the_predicted_error_alone(
-    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     windows = app.augment(tasks, rng)
     start = app.encode(app.init_encoder(rng), app.encoder_input(windows, rng))
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
-    batch, grads = app.sample(windows, rng, 1), []
-    for weight in (pretrained.LIKELIHOOD_WEIGHT, 0.0):
-        monkeypatch.setattr(pretrained, "LIKELIHOOD_WEIGHT", weight)
+    batch, grads = app.outer_sample(windows, rng, 1), []
+    for weight in (feature_judge.LIKELIHOOD_WEIGHT, 0.0):
+        monkeypatch.setattr(feature_judge, "LIKELIHOOD_WEIGHT", weight)
         loss = app.outer_loss(theta, batch, {}).sum()
         grads.append(torch.autograd.grad(loss, list(theta.values()), materialize_grads=True))
     for key, grad, other in zip(theta, *grads, strict=True):
@@ -46,7 +46,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_steps_leave_the_predicted_error(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+def test_steps_leave_the_predicted_error(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()

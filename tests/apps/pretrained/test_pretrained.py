@@ -10,22 +10,35 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto, photo_loss
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder
+from metapp.apps.svbrdf_nonstationary.field_judge import FieldJudge
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, pixel_inputs
-from metapp.apps.svbrdf_nonstationary.pretrained.app import FULL_SHARE, HALVED_SLOPE, SLOPE_GAIN, FromFeatures
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto, compare_photos
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     FULL_APP,
+    FULL_SHARE,
     GUESS_CHANNELS,
     LOG_FLOOR,
     OVERVIEW_PX,
     PARTS,
+    FeatureEncoder,
     _balance,
     describe_patch,
     full_encoder,
     init_decoder,
     read_photos,
+)
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight
+from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
+    HALVED_SLOPE,
+    SLOPE_GAIN,
+    MeanFieldMaps,
+    UncertainMaps,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.scars import trust_texels
 from metapp.learning.learn import descend, final_item, task_loss
@@ -41,9 +54,14 @@ from tests.recipe_apps import recipes_of
 
 
 def test_pretrained_recipe_alone_uses_features() -> None:
-    kinds = {name: type(recipe.app) for name, recipe in recipes_of(APP, "photo").items()}
-    assert {name for name, kind in kinds.items() if kind is FromFeatures} == {"pretrained"}
-    assert kinds["full"] is FromPhoto
+    apps = {name: recipe.app for name, recipe in recipes_of(APP, "photo").items()}
+    parts = {
+        name: {type(part) for part in (app.decoder, app.sight, app.judge, app.encoder)} for name, app in apps.items()
+    }
+    feature_parts = {MeanFieldMaps, FeatureSight, FeatureJudge, FeatureEncoder}
+    assert {name for name, app_parts in parts.items() if app_parts & feature_parts} == {"pretrained"}
+    assert parts["pretrained"] == feature_parts
+    assert parts["full"] == {FieldMaps, PhotoSight, FieldJudge, PhotoEncoder}
 
 
 def test_missing_weights_are_refused_with_the_command_that_gets_them(
@@ -87,21 +105,19 @@ def test_pretrained_is_the_default_of_fits_from_general_where_weights_are(
 # The outer loss, and a few outer steps
 
 
-def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+def losses(app: SvbrdfNonstationary, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """The outer losses of such predicted maps, of which General is equally sure."""
     count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
-    theta = {
-        "deviation": torch.full((count, 4, side // 4, side // 4), -2.0),
-        "flash": torch.zeros(count, FLASH_NUMBERS),
-    }
-    monkeypatch.setattr(FromFeatures, "_evaluate_maps", lambda app, theta, inputs: maps)
-    return app.outer_loss(theta, batch, {})
+    flash = app.decoder.decode_flash_numbers(torch.zeros(count, FLASH_NUMBERS), torch.zeros(count, 1))
+    answer = UncertainMaps(maps, flash, torch.full((count, 4, side // 4, side // 4), -2.0))
+    monkeypatch.setattr(MeanFieldMaps, "decode_for_training", lambda decoder, theta, seen: answer)
+    return app.outer_loss({}, batch, {})
 
 
 def test_unknown_maps_have_no_weight_in_the_loss(
-    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
     batch["map_weights"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
     parts = [part.clone().requires_grad_() for part in unpack_maps(0.9 * batch["maps"] + 0.01)]
     value = losses(app, Maps(*parts), batch, monkeypatch)
@@ -113,10 +129,10 @@ def test_unknown_maps_have_no_weight_in_the_loss(
 
 
 def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
-    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Flat maps have a lower loss than slopes of either sign. Where slopes are known, true maps have the lowest."""
-    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    batch = app.outer_sample(app.augment(tasks, rng), rng, 1)
     truth = unpack_maps(batch["maps"])
     turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
     flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
@@ -126,13 +142,13 @@ def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
 
 @pytest.mark.long
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+def test_a_few_outer_steps_lower_the_loss(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup_steps=0)
     (general,) = General.of(app, replace(RECIPE, general=training)).trainings
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
-    flat = app.maps_of(app.encode(phi.encoder, app.encoder_input(tasks, rng)), tasks.data["photo"])
+    flat = app.decoder.make_maps(app.encode(phi.encoder, app.encoder_input(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
     same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
     end = final_item(descend(phi.flatten(), outer_adam(training, phi.flatten()), tasks, same, steps=12, rng=rng)).theta
@@ -146,31 +162,31 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, rng: Generator) -> None:
+def test_maps_are_the_mean_of_both_networks_but_for_normals(app: SvbrdfNonstationary, rng: Generator) -> None:
     """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
     encoder = app.init_encoder(rng)
     photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
     inputs = pixel_inputs(photo)
-    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **describe_patch(photo)})
+    theta = app.encode(encoder, app.encoder.select_input(SeenPhoto(photo, torch.zeros(1, 1))))
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
-    small_network = LocalField(*app.network)._replace(**size)
+    small_network = LocalField(*app.decoder.network)._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
     first = small_network(alone | {"z": theta["z"][:, : small_network.code]}, inputs)
     full = full_encoder(torch.device("cpu"))
     beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
-    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, small_network.code :]}, inputs)
-    joined = app.network._replace(**size)(theta, inputs)
+    second = FULL_APP.decoder.network._replace(**size)(beside | {"z": theta["z"][:, small_network.code :]}, inputs)
+    joined = app.decoder.network._replace(**size)(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, FULL_SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
 
 
-def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures) -> None:
+def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: SvbrdfNonstationary) -> None:
     """In the same direction, each pixel by itself; a slope of SHALLOW is halved, but for STEEPER; other maps stay."""
     raw = torch.randn(2, sum(CHANNELS), 16, 16, generator=Generator().manual_seed(0))
     size = torch.logspace(-3, 1, 256).reshape(16, 16)
     size[0, 0] = HALVED_SLOPE
     raw[:, :2] *= size / raw[:, :2].norm(dim=1, keepdim=True)
-    maps, as_read = app.maps_from(raw), decode_maps(raw)
+    maps, as_read = app.decoder.finish_maps(raw), decode_maps(raw)
     for found, expected in zip(maps[:3], as_read[:3], strict=True):
         assert torch.equal(found, expected)
     slopes, read = (maps_of_one.normal[:, :2] / maps_of_one.normal[:, 2:] for maps_of_one in (maps, as_read))
@@ -180,37 +196,40 @@ def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures)
     assert (ratio[..., size < HALVED_SLOPE / 3] < 0.1 * SLOPE_GAIN + 1e-3).all()
     assert (ratio[..., size > 10 * HALVED_SLOPE] > 0.99 * SLOPE_GAIN - 1e-2).all()
     flat = torch.zeros(1, sum(CHANNELS), 4, 4, requires_grad=True)
-    app.maps_from(flat).normal.sum().backward()
+    app.decoder.finish_maps(flat).normal.sum().backward()
     assert flat.grad is not None
     assert flat.grad.isfinite().all()
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_training_sees_raw_maps_and_fits_see_processed_ones(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+def test_training_sees_raw_maps_and_fits_see_processed_ones(
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator
+) -> None:
     """Training on processed maps would undo the processing."""
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
-    photo = tasks.data["photo"]
-    raw = app.network(theta, pixel_inputs(photo))
+    seen = app.see(tasks)
+    raw = app.decoder.network(theta, pixel_inputs(seen.photo))
     for maps, expected in (
-        (app._evaluate_maps(theta, pixel_inputs(photo)), decode_maps(raw)),
-        (app.maps_of(theta, photo), app.maps_from(raw)),
+        (app.decoder.decode_for_training(theta, seen).maps, decode_maps(raw)),
+        (app.decoder.decode_for_steps(theta, seen).maps, app.decoder.finish_maps(raw)),
+        (app.decoder.make_maps(theta, seen.photo), app.decoder.finish_maps(raw)),
     ):
         for found, other in zip(maps, expected, strict=True):
             torch.testing.assert_close(found, other)
-    assert not torch.equal(decode_maps(raw).normal, app.maps_from(raw).normal)
+    assert not torch.equal(decode_maps(raw).normal, app.decoder.finish_maps(raw).normal)
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
-    app: FromFeatures, tasks: Tasks, rng: Generator
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator
 ) -> None:
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
-    batch, code_channels = app.sample(tasks, rng, 1), app.network.code
+    batch, code_channels = app.sample(tasks, rng, 1), app.decoder.network.code
     loss = app.loss(theta, batch, {})
-    maps, flash = app.maps_of(theta, batch["photo"]), app.flash_of(theta)
+    maps, flash = app.decoder.make_maps(theta, batch["photo"]), app.decoder(theta, app.see(tasks)).flash
     radiance = render_photo(maps, flash)
-    whole = photo_loss(radiance, batch["photo"], {}, trust_texels(maps, radiance, flash))
+    whole = compare_photos(radiance, batch["photo"], {}, trust_texels(maps, radiance, flash))
     torch.testing.assert_close(loss, whole)
     by_loss, by_whole = (
         dict(zip(theta, torch.autograd.grad(inner_loss.sum(), [*theta.values()], allow_unused=True), strict=True))
@@ -224,14 +243,14 @@ def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+def test_steps_by_a_photo_keep_the_normals(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     batch = app.sample(tasks, rng, 1)
-    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.samples)
+    before, photo = app.decoder.make_maps(theta, batch["photo"]), task_loss(app, RECIPE.samples)
     end = final_item(
         descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
     ).theta
-    after = app.maps_of(end, batch["photo"])
+    after = app.decoder.make_maps(end, batch["photo"])
     assert torch.equal(after.normal, before.normal)
     assert (app.loss(end, batch, {}) < app.loss(theta, batch, {})).all()
     for was, now in zip(before[:3], after[:3], strict=True):
@@ -249,7 +268,7 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
     decoder = init_decoder(rng, 5)
     for side in (32, 64):
         read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
-        assert read["z"].shape == (2, 5 + FULL_APP.network.code, side, side)
+        assert read["z"].shape == (2, 5 + FULL_APP.decoder.network.code, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
         assert read["flash"].shape == (2, FLASH_NUMBERS)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
@@ -260,10 +279,10 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
 def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
     """The flash is predicted from the whole patch, since it lies outside most windows."""
     decoder, photos = init_decoder(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
-    side = FULL_APP.network.height
+    side = FULL_APP.decoder.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
     with torch.no_grad():
-        seen = FULL_APP.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
+        seen = FULL_APP.decoder.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
     torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
     window = photos[..., :16, :16], texel_positions(32, 32)[None, :, :16, :16]
     torch.testing.assert_close(read_photos(decoder, *window, describe_patch(photos))["flash"], seen)
@@ -314,9 +333,9 @@ def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
     photo = torch.rand(1, 3, 256, 256, generator=rng)
     guess = describe_patch(photo)["guess"]
     full = recipes_of(APP, "photo")["full"].app
-    assert isinstance(full, FromPhoto)
+    assert isinstance(full, SvbrdfNonstationary)
     with torch.no_grad():
-        maps = full.maps_of(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
+        maps = full.decoder.make_maps(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
     assert guess.shape == (1, GUESS_CHANNELS, 256, 256)
     torch.testing.assert_close(guess[:, :1], maps.roughness)
     torch.testing.assert_close(guess[:, 1:].exp() - LOG_FLOOR, torch.stack([maps.specular, maps.diffuse], 1).mean(2))

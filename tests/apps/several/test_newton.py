@@ -6,17 +6,15 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several import integrability, newton
-from metapp.apps.svbrdf_nonstationary.several.app import (
-    CURL_ROUNDING,
-    FALLOFF_WEIGHT,
-    SeveralPhotos,
-    Texels,
-)
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
+from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
+from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, SeenPhotos
+from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
@@ -28,8 +26,8 @@ SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "curl": 0.05, "nois
 
 
 @pytest.fixture
-def app() -> SeveralPhotos:
-    return SeveralPhotos(Texels(SIDE, SIDE))
+def app() -> SvbrdfNonstationary:
+    return of_several(SIDE, SIDE)
 
 
 @pytest.fixture(autouse=True)
@@ -49,11 +47,9 @@ def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
     flash = 0.2 * off * torch.randn(1, FLASH_NUMBERS, COUNT, generator=rng, dtype=torch.float64)
     prior = torch.cat([maps + 0.1, torch.zeros_like(maps)], 1)
     falloff = torch.full((1, 1), 2 * off, dtype=torch.float64)
-    return (
-        {"maps": maps, "flash": flash, "falloff": falloff, "prior": prior},
-        {"photos": photos, "places": places},
-        true,
-    )
+    relief = photos.new_zeros(1, RELIEF_CHANNELS, SIDE, SIDE)
+    seen = SeenPhotos(photos[:, 0], photos, torch.ones_like(photos[:, :, :1]), relief, places)
+    return {"maps": maps, "flash": flash, "falloff": falloff, "prior": prior}, seen._asdict(), true
 
 
 def settings(values: dict[str, float] = SETTINGS) -> Params:
@@ -150,9 +146,9 @@ def test_fall_off_of_flashes_is_found(true_falloff: float) -> None:
     assert float(theta["falloff"]) == pytest.approx(true_falloff, abs=0.15)
 
 
-def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralPhotos) -> None:
+def test_derivatives_through_steps_are_those_of_finite_differences(app: SvbrdfNonstationary) -> None:
     theta, batch, true = problem()
-    loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.settings)
+    loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.sight.settings)
     rule = rule_of("gauss-newton")
     alpha = {
         key: value[:, None].double() for key, value in rule.initial_alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()
@@ -166,7 +162,7 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
     assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
 
 
-def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
+def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SvbrdfNonstationary) -> None:
     """Where photographs and General's prior agree with the maps, curls are left."""
     theta, batch, _ = problem()
     theta |= {key: torch.zeros_like(theta[key]) for key in ("flash", "falloff")}
@@ -181,7 +177,7 @@ def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None
     torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_other_applications_are_refused_in_a_line(app: SeveralPhotos) -> None:
+def test_other_applications_are_refused_in_a_line(app: SvbrdfNonstationary) -> None:
     other = type("Other", (), {"name": "texture"})()
     with pytest.raises(ValueError, match="its part newton does not apply to texture: its fits are not maps"):
         rule_of("gauss-newton").check_app(other, {})

@@ -11,8 +11,8 @@ from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
+from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from tests.apps.several.test_parallax import SIDE, photographs
@@ -21,7 +21,7 @@ from tests.recipe_apps import presenter_of
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)
 DISC, WIDE_DISC = DISTANCE < 0.22, DISTANCE < 0.42
-APP = SeveralPhotos(Texels(SIDE, SIDE))
+APP = of_several(SIDE, SIDE)
 OBJECTS = {"finger": torch.tensor([0.16, 0.08, 0.06]), "coin": torch.tensor([0.05, 0.04, 0.02]), "shadow": None}
 
 
@@ -102,12 +102,11 @@ def test_losses_and_steps_do_not_depend_on_what_hides_the_material() -> None:
     photos, places = photographs(1.0)
     batch = {key: value[None] for key, value in APP.prepare(as_task(obstruct(photos, "coin", [2]), places)).items()}
     assert (batch["unobstructed"] == 0).any()
-    batch = {key: batch[key] for key in ("photos", "places", "unobstructed")}
     other = batch | {"photos": torch.where(batch["unobstructed"] > 0, batch["photos"], 0.9)}
     maps = torch.zeros(1, 9, SIDE, SIDE)
     flashes = {"flash": torch.zeros(1, 4, 5), "falloff": torch.zeros(1, 1)}
     theta = {"maps": maps, **flashes, "prior": torch.cat([maps, maps], 1)}
-    settings = APP.settings({}, maps)
+    settings = APP.sight.settings({}, maps)
     assert torch.equal(APP.loss(theta, batch, {}), APP.loss(theta, other, {}))
     steps, other_steps = (newton.gauss_newton_change(theta, of, settings) for of in (batch, other))
     for key, step in steps.items():

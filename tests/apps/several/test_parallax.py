@@ -11,7 +11,6 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash_rendering import camera_distance, render_maps, texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_nonstationary.several.parallax import (
     RELIEF_CHANNELS,
     Heights,
@@ -19,6 +18,7 @@ from metapp.apps.svbrdf_nonstationary.several.parallax import (
     read_displaced,
     remove_parallax,
 )
+from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
 from metapp.learning.task import Task
 from tests.apps.several.test_several_photos import relief
 
@@ -74,7 +74,7 @@ def test_heights_and_photographs_are_found(texels: float, slope: float) -> None:
         straight = moved
     display = (linear_to_srgb(moved) * 255).round().to(torch.uint8)
     task = Task("relief", {"photo": display[0], "others": display[1:], "places": places})
-    prepared = SeveralPhotos(Texels(SIDE, SIDE)).prepare(task)
+    prepared = of_several(SIDE, SIDE).prepare(task)
     assert prepared["relief"].shape == (RELIEF_CHANNELS, SIDE, SIDE)
     assert (prepared["photos"] - straight).abs().mean() < 0.01
 

@@ -12,16 +12,13 @@ from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash_rendering import camera_distance, directions_to_point, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo, encode_maps
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import stereo
-from metapp.apps.svbrdf_nonstationary.several.app import (
-    SeveralPhotos,
-    Texels,
-)
 from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
-from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
+from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL, of_several
 from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
@@ -45,16 +42,16 @@ def several(seed: int, count: int = COUNT) -> Task:
 
 
 @pytest.fixture
-def app() -> SeveralPhotos:
-    return SeveralPhotos(Texels(SIDE, SIDE))
+def app() -> SvbrdfNonstationary:
+    return of_several(SIDE, SIDE)
 
 
 @pytest.fixture
-def tasks(app: SeveralPhotos) -> Tasks:
+def tasks(app: SvbrdfNonstationary) -> Tasks:
     return stack_tasks(app, [several(seed) for seed in range(2)])
 
 
-def general(app: SeveralPhotos, tasks: Tasks) -> Params:
+def general(app: SvbrdfNonstationary, tasks: Tasks) -> Params:
     """Parameters that an untrained General predicts."""
     with torch.no_grad():
         return app.encode(app.init_encoder(Generator().manual_seed(0)), app.encoder_input(tasks, Generator()))
@@ -104,17 +101,18 @@ def test_exposures_of_photographs_are_solved() -> None:
     torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)
 
 
-def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tasks) -> None:
-    batch, encoder = app.encoder_input(tasks, Generator()), app.init_encoder(Generator().manual_seed(0))
-    one = app.encode(encoder, batch)
-    loss = app.loss(one, batch, {})
+def test_the_order_of_photographs_does_not_matter(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    seen, encoder = app.see(tasks), app.init_encoder(Generator().manual_seed(0))
+    one = app.encode(encoder, app.encoder.select_input(seen))
+    loss = app.loss(one, seen._asdict(), {})
     for order in map(list, itertools.permutations(range(COUNT))):
-        ordered = {key: batch[key][:, order] for key in ("photos", "places")}
-        other = app.encode(encoder, batch | ordered)
+        ordered = {key: getattr(seen, key)[:, order] for key in ("photos", "unobstructed", "places")}
+        reordered = seen._replace(**ordered)
+        other = app.encode(encoder, app.encoder.select_input(reordered))
         torch.testing.assert_close(other["maps"], one["maps"], rtol=1e-3, atol=1e-3)
         torch.testing.assert_close(other["flash"], one["flash"][:, :, order], rtol=1e-3, atol=1e-3)
         same = one | {"flash": one["flash"][:, :, order]}
-        torch.testing.assert_close(app.loss(same, {k: v[:, order] for k, v in batch.items()}, {}), loss)
+        torch.testing.assert_close(app.loss(same, reordered._asdict(), {}), loss)
 
 
 def truth(tasks: Tasks) -> Tensor:
@@ -122,7 +120,7 @@ def truth(tasks: Tasks) -> Tensor:
     return encode_maps(unpack_maps(tasks.data["maps"]))
 
 
-def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
+def test_true_maps_from_true_places_have_the_least_loss(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     batch = app.sample(tasks, Generator(), 1)
     theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(2, 1)}
     torch.testing.assert_close(
@@ -135,15 +133,15 @@ def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, task
         moved[:, axis, 1] = off
         assert (app.loss(theta | {"flash": moved}, batch, {}) > least).all(), axis
     prior = theta | {"prior": torch.cat([theta["maps"], torch.zeros_like(theta["maps"])], 1)}
-    without_others = app.settings({}, theta["maps"]) | {"curl": torch.full((2,), -30.0)}
+    without_others = app.sight.settings({}, theta["maps"]) | {"curl": torch.full((2,), -30.0)}
     torch.testing.assert_close(app.loss(prior, batch, without_others), least)
     away = prior | {"prior": prior["prior"] + 1}
     assert (app.loss(away, batch, {}) > least).all()
 
 
-def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Tasks) -> None:
-    batch = {key: value.double() for key, value in app.encoder_input(tasks.select([0]), Generator()).items()}
-    batch["photos"] = batch["photos"][..., :4, :4].clamp_max(0.9)
+def test_gradients_are_those_of_finite_differences(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    batch = {key: value.double() for key, value in app.sample(tasks.select([0]), Generator(), 1).items()}
+    batch |= {"photos": batch["photos"][..., :4, :4].clamp_max(0.9), "unobstructed": batch["unobstructed"][..., :4, :4]}
     theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
     theta = {key: value[..., :4, :4] if key in ("maps", "prior") else value for key, value in theta.items()}
     noise = torch.randn(theta["maps"].shape, generator=Generator().manual_seed(0), dtype=torch.float64)
@@ -157,7 +155,7 @@ def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Ta
 
 
 @pytest.mark.parametrize("count", [2, 5, 9])
-def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: int) -> None:
+def test_all_paradigms_fit_any_number_of_photographs(app: SvbrdfNonstationary, count: int) -> None:
     """Each fit has a lower loss than its initialisation, and none moves the prior."""
     tasks = stack_tasks(app, [several(0, count)])
     recipe = replace(SEVERAL, app=app, steps=3, overfit_steps=5, finetune_steps=4)
@@ -165,7 +163,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
     random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
     alpha = rule_of(SEVERAL.rule).initial_alpha(app, random, 3, recipe.quickft)
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
-    batch = app.encoder_input(tasks, Generator())
+    batch = app.sample(tasks, Generator(), 1)
     for name in PARADIGMS:
         paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
         steps = list(paradigm.descend(phi, tasks, Generator()))
@@ -181,7 +179,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
         assert set(app.postprocess(last)) == {"maps", "flash", "falloff"}
 
 
-def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPhotos) -> None:
+def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SvbrdfNonstationary) -> None:
     for roughness in (0.25, 0.7):
         maps = relief(SIDE)._replace(specular=torch.full((1, 3, SIDE, SIDE), 0.04))
         maps = maps._replace(roughness=torch.full((1, 1, SIDE, SIDE), roughness))
@@ -195,27 +193,27 @@ def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPho
         assert float((found - roughness).abs().max()) < 0.12
 
 
-def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: SeveralPhotos, tasks: Tasks) -> None:
+def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     theta = {key: value[:1] for key, value in general(app, tasks).items()}
     even = torch.full((1, 3, 2 * SIDE, 2 * SIDE), 0.3)
     striped = even.clone()
     striped[..., ::2] *= 1.5
-    one, other = (app.maps_of(theta, photo) for photo in (even, striped))
+    one, other = (app.decoder.make_maps(theta, photo) for photo in (even, striped))
     assert one.diffuse.shape == (1, 3, 2 * SIDE, 2 * SIDE)
     assert torch.equal(one.normal, other.normal)
     assert ((other.diffuse / one.diffuse)[..., ::2] > 1.1).all()
     assert ((other.diffuse / one.diffuse)[..., 1::2] < 0.95).all()
 
 
-def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos, tasks: Tasks) -> None:
+def test_highlights_are_doubted_that_clip_in_all_photographs(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     photos = tasks.data["photos"].clamp_max(0.5).clone()
     photos[0, 0] = 1
     stacked = replace(tasks, data=tasks.data | {"photos": photos, "photo": photos[:, 0]})
     theta = general(app, stacked)
     presenter = presenter_of(app)
     assert not any("clipped" in line for lines in presenter.quality_warnings(theta, stacked) for line in lines)
-    maps = app.maps_of(theta, photos[:, 0])
-    assert all(map(torch.equal, app.final_maps(theta, photos[:, 0]), maps))
+    maps = app.decoder.make_maps(theta, photos[:, 0])
+    assert all(map(torch.equal, app.prediction(theta, app.see(stacked)), maps))
     photos[1, :, :, 4:8, 4:8] = 1
     none, clipped = presenter.quality_warnings(theta, stacked)
     (clause,) = [line for line in clipped if "clipped" in line]
@@ -225,12 +223,12 @@ def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos,
 
 @pytest.mark.parametrize(("slope", "is_flat"), [(0.5, False), (0.01, True)])
 def test_nearly_flat_surfaces_and_unexplained_photographs_are_said(
-    app: SeveralPhotos, tasks: Tasks, slope: float, is_flat: bool
+    app: SvbrdfNonstationary, tasks: Tasks, slope: float, is_flat: bool
 ) -> None:
-    stacked, maps = tasks.select([0]), truth(tasks.select([0]))
+    stacked, maps, places = tasks.select([0]), truth(tasks)[:1], tasks.data["places"][:1]
     maps[:, :2] = slope * torch.randn(maps[:, :2].shape, generator=Generator().manual_seed(0))
     theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
-    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, stacked.data["places"])).clamp(0, 0.9)
+    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, places)).clamp(0, 0.9)
     dimmed = photos.clone()
     dimmed[:, 1, :, :, : SIDE // 2] *= 0.5
     for shown, is_unexplained in ((photos, False), (dimmed, True)):
@@ -241,11 +239,11 @@ def test_nearly_flat_surfaces_and_unexplained_photographs_are_said(
 
 @pytest.mark.parametrize(("noise", "is_said"), [(0.002, False), (0.05, True)])
 def test_photographs_that_differ_from_texel_to_texel_are_said(
-    app: SeveralPhotos, tasks: Tasks, noise: float, is_said: bool
+    app: SvbrdfNonstationary, tasks: Tasks, noise: float, is_said: bool
 ) -> None:
-    stacked, maps = tasks.select([0]), truth(tasks.select([0]))
+    stacked, maps, places = tasks.select([0]), truth(tasks)[:1], tasks.data["places"][:1]
     theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
-    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, stacked.data["places"])).clamp(0, 0.9)
+    photos = render_photos(decode_maps(maps), decode_flash(theta["flash"].mT, places)).clamp(0, 0.9)
     # a chequered change, which the means over wide areas do not see
     signs = 1 - 2 * (torch.arange(SIDE)[:, None] + torch.arange(SIDE)).remainder(2)
     changed = replace(stacked, data=stacked.data | {"photos": photos * (1 + noise * signs)})
@@ -253,7 +251,7 @@ def test_photographs_that_differ_from_texel_to_texel_are_said(
     assert any("texel to texel" in line for line in lines) == is_said
 
 
-def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
+def test_tasks_of_different_numbers_are_not_fitted_together(app: SvbrdfNonstationary) -> None:
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):
         with pytest.raises(ValueError, match=r"photos \(.*expected \(3, 3, 16, 16\) like material-0; convert both"):
@@ -298,7 +296,7 @@ def test_some_drawn_cameras_stand_still_under_lights_around_them(rng: Generator)
     assert (flashes[..., 2] > 0).all()
 
 
-def test_fits_of_any_number_of_photographs_are_those_of_the_network(app: SeveralPhotos, tasks: Tasks) -> None:
+def test_fits_of_any_number_of_photographs_are_those_of_the_network(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     """So are fits that were saved before flashes had a fall-off; damaged ones are refused in one line."""
     theta = {key: value[0] for key, value in app.postprocess(general(app, tasks)).items()}
     others = {key: value[..., :1] if key == "flash" else value for key, value in theta.items()}
@@ -315,8 +313,9 @@ def test_fits_of_any_number_of_photographs_are_those_of_the_network(app: Several
         with pytest.raises(ValueError, match=f"^wall: {re.escape(problem)}; fit anew\\.$"):
             check_params(damaged, app, "wall")
     task = several(0)
-    assert len(app.flashes(theta, task)) == COUNT
+    photo = decode_photo(task.data["photo"])[None]
+    assert len(app.decode(theta, task, photo).flash_of_each_photo()) == COUNT
     with pytest.raises(
         ValueError, match=r"^material-0: a fit with 1 flashes, expected 3, one for each photo; fit anew"
     ):
-        app.flashes(others, task)
+        app.decode(others, task, photo)

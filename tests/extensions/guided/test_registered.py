@@ -14,6 +14,7 @@ from data_tools.synthetic.examples import write_example
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guided_pictures import REGULAR, REGULAR_NEE
+from metapp.apps.transport.path_fits import FlowDensity
 from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
 from metapp.rendering.scenes.stored_text import encode_scene
@@ -30,7 +31,7 @@ def task_of(seed: int) -> Task:
 @pytest.mark.long
 @needs_mitsuba
 def test_integrator_has_a_row_in_the_table_of_pictures() -> None:
-    presenter, task = presenter_of(Transport(FLOW, picture=16, spp=64, reference_spp=64)), task_of(0)
+    presenter, task = presenter_of(Transport(FlowDensity(FLOW), picture=16, spp=64, reference_spp=64)), task_of(0)
     assert list(presenter.picture_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
 
 

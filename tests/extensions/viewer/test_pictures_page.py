@@ -15,8 +15,8 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.appearance.pictures import Picture
+from metapp.apps.exemplar.app import FILE_SIDE_TIMES
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guided_pictures import REGULAR

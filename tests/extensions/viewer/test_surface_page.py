@@ -24,7 +24,7 @@ from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
+from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
 from metapp.extensions.viewer.view import View, make_view
@@ -55,7 +55,7 @@ def stationary() -> tuple[SvbrdfStationary, Params, Task]:
 @functools.cache
 def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     """Random maps of several photographs, which the fit places elsewhere than they say."""
-    app = SeveralPhotos(Texels(SIDE, SIDE))
+    app = of_several(SIDE, SIDE)
     theta = {
         "maps": 0.2 * torch.randn(9, SIDE, SIDE, generator=seeded()),
         "flash": torch.randn(4, PHOTOS, generator=seeded(1)),

@@ -19,7 +19,7 @@ from torch.nn.functional import silu
 from typing_extensions import override
 
 from metapp.appearance.geometry import outgoing_cosine
-from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, PlainLayers, opponent_axes
+from metapp.apps.brdf.brdf_network import BrdfNetwork, DistinctSamples, PlainLayers, opponent_axes
 from metapp.apps.brdf.feature_network import ISOTROPIC_INPUTS, isotropic_inputs
 from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
@@ -86,27 +86,26 @@ def sample_precision(theta: Params, slope: Tensor) -> Tensor:
     return result
 
 
-def ridge_regression(theta: Params, batch: Batch) -> LeastSquares:
+def ridge_regression(theta: Params, samples: DistinctSamples) -> LeastSquares:
     """Return the ridge regression of the logarithms of samples.
 
     Args:
         theta: parameters of T materials.
-        batch: `where` [T, 7, N] and `target` [T, 3, N] of samples, repeated to fill the batch, and COUNT_KEY [T], the
-            number of different ones.
+        samples: samples of the materials, repeated to fill the batch.
     """
-    where, target = batch["where"], batch["target"]
+    where, target, distinct = samples
     cosine = where[:, 6:7]
     reflectance = torch.expm1(target) / cosine.clamp_min(1e-4)
     logarithms = (reflectance * cosine_product(where) + DARKEST_REFLECTANCE).log()
     features = model_features(theta, where)
     residual = opponent_axes(features).T @ logarithms - torch.bmm(theta["last"], features)
     slope = error_slope(reflectance, where)
-    weights = sample_precision(theta, slope) * batch[COUNT_KEY][:, None]
+    weights = sample_precision(theta, slope) * distinct[:, None]
     losses = (slope * (opponent_axes(features) @ residual)).abs().mean((1, 2))
     return LeastSquares("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
 
 
-def log_evidence(theta: Params, batch: Batch) -> Tensor:
+def log_evidence(theta: Params, samples: DistinctSamples) -> Tensor:
     """Return the log likelihood of samples under the model, [T], up to a constant.
 
     The weights of features are integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
@@ -114,11 +113,11 @@ def log_evidence(theta: Params, batch: Batch) -> Tensor:
 
     Args:
         theta: parameters of T materials.
-        batch: samples, as :func:`ridge_regression` takes them.
+        samples: samples, as :func:`ridge_regression` takes them.
     """
-    regression = ridge_regression(theta, batch)
+    regression = ridge_regression(theta, samples)
     features, residual = regression.features.double(), regression.residual.double()
-    weights, count = regression.weights.double()[:, None] / features.shape[-1], batch[COUNT_KEY]
+    weights, count = regression.weights.double()[:, None] / features.shape[-1], samples.distinct
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
     factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
     moment = (residual * weights) @ features.mT
@@ -193,7 +192,9 @@ class Few(BrdfNetwork):
         kinds = range(len(reader["last"]))
         models = [self.select_kinds(encoder, torch.full((count,), kind)) for kind in kinds]
         with torch.no_grad():
-            likeliest = torch.stack([log_evidence(theta, encoder_input) for theta in models]).argmax(0)
+            likeliest = torch.stack([log_evidence(theta, DistinctSamples(**encoder_input)) for theta in models]).argmax(
+                0
+            )
         return self.select_kinds(encoder, likeliest)
 
     def select_kinds(self, encoder: Params, kinds: Tensor) -> Params:

@@ -11,15 +11,18 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import cast
+from dataclasses import dataclass
+from typing import Any, cast
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, interpolate, leaky_relu, pad
+from typing_extensions import override
 
-from metapp.appearance.features import load_features, uses_bfloat16, vgg_weights_path
+from metapp.appearance.features import feature_conditions, load_features, uses_bfloat16, vgg_weights_path
 from metapp.appearance.flash_rendering import texel_positions
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
+from metapp.appearance.svbrdf_maps import Maps
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import (
     BASE_TEXELS,
     ENCODER_LEAKY_SLOPE,
@@ -27,10 +30,20 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     apply_pointwise,
     upsample,
 )
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, describe_highlight, predict_roughness
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
+from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
+from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
+    add_polish,
+    describe_highlight,
+    predict_roughness,
+    roughness_shift,
+    scale_roughness,
+)
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
-from metapp.learning.task import Params
+from metapp.learning.composed import Encoder
+from metapp.learning.task import Batch, Params
+from metapp.networks.coded import add_decoder, join_encoder, select_reader
+from metapp.networks.field import LocalField
 from metapp.networks.layers import add_layer
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
@@ -52,7 +65,60 @@ OVERVIEW_POOLING = 4  # the side of its first level over that of its second
 OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
 GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
 LOG_FLOOR = 0.01  # reflectance that is added before logs
-FULL_APP = cast("FromPhoto", PHOTO_RECIPES[FULL_RECIPE_NAME].app)
+FULL_APP = cast("SvbrdfNonstationary", PHOTO_RECIPES[FULL_RECIPE_NAME].app)
+FULL_FIELD: LocalField = FULL_APP.decoder.network
+PATCH_KEYS = ("overview", "highlight", "guess", "code", "flash")  # what `describe_patch` returns
+DECODER_PREFIX = "decoder."  # of names of General's parameters that tasks share
+FULL_PREFIX = "full."  # of names of the parameters of the field of the recipe "full"
+FULL_SHARE = 0.5  # weight of that field in diffuse colour, roughness and specular colour; it has none in slopes
+INITIAL_SLOPE_GAIN = 0.05  # factor of slopes of untrained fields, whose maps are nearly flat
+
+
+@dataclass(frozen=True)
+class FeatureEncoder(Encoder[Any]):
+    """The encoder of photographs, or in training of windows of photographs, by features of VGG-16."""
+
+    @override
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        return feature_conditions(device)
+
+    @override
+    def init(self, rng: Generator, decoder: Any) -> Params:
+        """Draw the reader and the first field, whose maps are nearly flat: training begins without relief."""
+        first_field = LocalField(*decoder.network)
+        return join_encoder(init_decoder(rng, first_field.code), scale_slopes(first_field.init(rng, 1)), ("z",))
+
+    @override
+    def select_input(self, seen: Any) -> Batch:
+        """Select the photograph, and describe it.
+
+        Returns:
+            `photo` and `inputs`; the `height` of the camera; `whole` [T, 1, 1, 1], 1 for photographs of the whole
+            patch and 0 for windows; and what :func:`describe_patch` returns for the whole patch.
+        """
+        is_whole = isinstance(seen, SeenPhoto)
+        patch = describe_patch(seen.photo) if is_whole else {key: getattr(seen, key) for key in PATCH_KEYS}
+        whole = seen.photo.new_full((len(seen.photo), 1, 1, 1), float(is_whole))
+        return {"photo": seen.photo, "inputs": seen.inputs, "height": seen.camera, "whole": whole} | patch
+
+    @override
+    def __call__(self, encoder: Params, encoder_input: Batch, decoder: Any) -> Params:
+        """Return parameters of both fields, with a code in each pixel."""
+        full_parameters = full_encoder(encoder_input["photo"].device).items()
+        full_decoder = {
+            key.replace(DECODER_PREFIX, DECODER_PREFIX + FULL_PREFIX): value
+            for key, value in full_parameters
+            if key.startswith(DECODER_PREFIX)
+        }
+        inputs, patch = encoder_input["inputs"], {key: encoder_input[key] for key in PATCH_KEYS}
+        read = read_photos(select_reader(encoder), encoder_input["photo"], inputs[:, -2:], patch)
+        network = decoder.network
+        theta = add_decoder(read | {key: read[key] / network.gain for key in ("z", "flash")}, encoder | full_decoder)
+        raw = network.evaluate(theta, network.gain * theta["z"], inputs)
+        # training sees slopes as the network makes them
+        normal = torch.where(encoder_input["whole"] > 0, decoder.finish_maps(raw).normal, decode_maps(raw).normal)
+        maps = decode_maps(raw)._replace(normal=normal)
+        return _apply_polish(theta, maps, encoder_input["height"], 1 - FULL_SHARE)
 
 
 def init_decoder(rng: Generator, code: int) -> Params:
@@ -141,10 +207,10 @@ def describe_patch(photos: Tensor) -> Params:
         what General of the recipe "full" predicts, at its side S: `guess` [T, GUESS_CHANNELS, S, S], `code`
         [T, C, S, S] and `flash` [T, FLASH_NUMBERS].
     """
-    network = FULL_APP.network
+    network = FULL_FIELD
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
     theta = FULL_APP.encode(full_encoder(photos.device), {"photo": small})
-    maps = FULL_APP.maps_of(theta, small)
+    maps = FULL_APP.decoder.make_maps(theta, small)
     log_reflectances = [
         (reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)
     ]
@@ -221,23 +287,46 @@ def unknown_deviation(count: int, device: torch.device) -> Params:
     return {"deviation": torch.full((count, len(PARTS), BASE_TEXELS, BASE_TEXELS), UNKNOWN_LOG, device=device)}
 
 
-def laplace_scales(theta: Params) -> Tensor:
-    """Return the scale of a Laplace distribution of the error of each map, mean over channels, like `deviation`."""
-    return MIN_DEVIATION + theta["deviation"].exp()
+def laplace_scales(deviation: Tensor) -> Tensor:
+    """Return the scale of a Laplace distribution of the error of each map, mean over channels, given its log."""
+    return MIN_DEVIATION + deviation.exp()
 
 
-def negative_log_likelihood(differences: Sequence[Tensor], theta: Params) -> Tensor:
+def negative_log_likelihood(differences: Sequence[Tensor], deviation: Tensor) -> Tensor:
     """Return the negative log-likelihood of errors of maps but for a constant, [T] (Kendall & Gal 2017).
 
     Only `deviation` has a gradient of it.
 
     Args:
         differences: what :func:`metapp.apps.svbrdf_nonstationary.maps.map_differences` returns.
-        theta: parameters with `deviation`, logs of the scales.
+        deviation: logs of the scales, [T, 4, h, w].
     """
-    scale = laplace_scales(theta)
+    scale = laplace_scales(deviation)
     size = (scale.shape[-2], scale.shape[-1])
     mean_errors = [
         adaptive_avg_pool2d(difference.detach(), size).abs().mean(1, keepdim=True) for difference in differences
     ]
     return (torch.cat(mean_errors, 1) / scale + scale.log()).mean((1, 2, 3))
+
+
+def scale_slopes(theta: Params) -> Params:
+    """Scale the slopes of the maps of fields with parameters [T, ...] by INITIAL_SLOPE_GAIN."""
+    factor = theta["out.shift"].new_tensor([INITIAL_SLOPE_GAIN] * CHANNELS[0] + [1.0] * sum(CHANNELS[1:]))
+    last_layer = {name: value for name, value in theta.items() if name.startswith("out.")}
+    return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last_layer.items()}
+
+
+def _apply_polish(theta: Params, maps: Maps, height: Tensor, share: float) -> Params:
+    """Shift the roughness of fields with maps [T, C, h, w] to the roughness that a sharp highlight shows.
+
+    Args:
+        theta: the parameters of the fields, and `shown` [T].
+        maps: their maps.
+        height: heights of cameras in half sides of the patch, [T, 1], 0 where they are not known.
+        share: the share of the first field, whose roughness is shifted.
+    """
+    shown = theta["shown"]
+    shift = roughness_shift(shown, maps, scale_roughness(shown, height[:, 0])) / share
+    roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
+    kept = {key: value for key, value in theta.items() if key != "shown"}
+    return kept | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

@@ -7,16 +7,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
-from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.field_maps import field_of
+from metapp.apps.svbrdf_nonstationary.pretrained.encoder import FeatureEncoder
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight
+from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanField, MeanFieldMaps
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.recipe import OuterLoop
+
+
+def of_features(network: MeanField) -> SvbrdfNonstationary:
+    """Return the application whose fits of one photograph begin at General's maps by features of VGG-16."""
+    decoder, sight = MeanFieldMaps(network, "raised"), FeatureSight(fills=True)
+    return SvbrdfNonstationary(decoder, sight, FeatureJudge(), FeatureEncoder(), FINEST_PX)
+
 
 FULL = PHOTO_RECIPES["full"]
 SEARCHED = replace(FULL.quickft, rate=8e-3, final_rate_share=0.1)
 PRETRAINED = replace(
     FULL,
-    app=FromFeatures(MeanField(*field_of(256, 32))),
+    app=of_features(MeanField(*field_of(256, 32))),
     quickft=SEARCHED,
     meta={"meta-encoder": replace(FULL.meta["meta-encoder"], initial_adam=SEARCHED)},
     general=OuterLoop(

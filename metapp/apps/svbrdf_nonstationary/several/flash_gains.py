@@ -8,13 +8,12 @@ from torch import Tensor
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_GAIN, FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE
-from metapp.learning.task import Batch
 
 LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 
 
 @torch.no_grad()
-def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
+def estimate_flashes(maps: Maps, photos: Tensor, places: Tensor) -> Tensor:
     """Estimate how bright each flash is, given the maps, and leave it at its measured position.
 
     The log gain of a flash is the median over texels of the difference of the log photograph from the log rendering of
@@ -22,13 +21,13 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
 
     Args:
         maps: the maps [T, C, H, W].
-        batch: `photos` and `places`.
+        photos: linear photographs [T, N, 3, H, W].
+        places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
 
     Returns:
         Unbounded numbers [T, FLASH_NUMBERS, N] that stand for the flashes, see :func:`decode_flash`: all are 0 but the
         last of each flash, its gain.
     """
-    places, photos = batch["places"], batch["photos"]
     zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
     log_gains = log_radiance(photos) - log_radiance(render_photos(maps, decode_flash(zeros.mT, places, camera="held")))
     log_gains = torch.where(photos > CLIPPED_LINEAR_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values

@@ -21,15 +21,12 @@ from metapp.appearance.flash_rendering import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
-from metapp.apps.svbrdf_nonstationary.several.app import (
-    CURL_ROUNDING,
-    FALLOFF_WEIGHT,
-    SeveralPhotos,
-)
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
+from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, PhotoSetSight
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
+from metapp.learning.composed import ComposedApp
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import append_axes
 from metapp.learning.rules.rule import Part
@@ -61,7 +58,7 @@ class GaussNewton(Loss):
     Attributes:
         settings: a function that returns all loss parameters [T, ...]: those that a rule has learned, its first
             argument, or initial values if that is {}. Its second argument is a tensor [T, ...] of the fits; see
-            :meth:`SeveralPhotos.settings`.
+            :meth:`PhotoSetSight.settings`.
     """
 
     settings: Callable[[Params, Tensor], Params] = field(kw_only=True)
@@ -89,8 +86,8 @@ class Newton(Part):
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
-        """Return "" for :class:`SeveralPhotos`, the only application that the part applies to, else why it does not."""
-        return "" if isinstance(app, SeveralPhotos) else "its fits are not maps under flashes of several photographs"
+        """Return "" for fits that see several photographs, to which alone the part applies, else why it does not."""
+        return "" if _find_sight(app) else "its fits are not maps under flashes of several photographs"
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
@@ -100,13 +97,20 @@ class Newton(Part):
     @override
     def loss(self, app: App, loss: Loss) -> Loss:
         """Return the given loss as one that gives steps Gauss-Newton's step in place of its gradient."""
-        assert isinstance(app, SeveralPhotos)
-        return GaussNewton(loss.draw, loss.value, loss.shared, settings=app.settings)
+        sight = _find_sight(app)
+        assert sight is not None
+        return GaussNewton(loss.draw, loss.value, loss.shared, settings=sight.settings)
 
     @override
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Multiply the changes [T, ...] by the length of this step, whose log is `length` [T] in `alpha`."""
         return {key: append_axes(torch.exp(alpha["length"]), change) * change for key, change in updates.items()}
+
+
+def _find_sight(app: App) -> PhotoSetSight | None:
+    """Return what fits of an application see if that is several photographs, else None."""
+    sight = app.sight if isinstance(app, ComposedApp) else None
+    return sight if isinstance(sight, PhotoSetSight) else None
 
 
 def gauss_newton_change(
@@ -121,13 +125,12 @@ def gauss_newton_change(
     The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
     smoothed near 0, sqrt(d^2 + s^2) - s. So each step solves a least-squares problem in which d^2 has the weight
     1 / sqrt(d^2 + s^2), by the present d (iteratively reweighted least squares). The right side of a texel's normal
-    equations is the gradient of :meth:`SeveralPhotos.loss` times 3 N, for N photographs with three colour channels
+    equations is the gradient of :meth:`PhotoSetSight.loss` times 3 N, for N photographs with three colour channels
     each: at each texel the loss takes the mean of 3 N differences, and least squares take their sum.
 
     Args:
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
-        batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
-            [T, N, 2, 3].
+        batch: what the fits see, by the names of :class:`SeenPhotos`.
         settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `curl` and
             `noise` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
@@ -135,7 +138,7 @@ def gauss_newton_change(
     """
     maps, flash, falloff, prior = (theta[key] for key in ("maps", "flash", "falloff", "prior"))
     settings, photos = _expect_noise(theta, batch, settings), batch["photos"]
-    photos = torch.where(batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0, photos, math.nan)
+    photos = torch.where(batch["unobstructed"] > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
         picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
@@ -220,7 +223,7 @@ def _expect_noise(theta: Params, batch: Batch, settings: Params) -> Params:
     renderings = render_photos(maps, decode_flash(theta["flash"].mT, batch["places"], theta["falloff"], camera="held"))
     photos = batch["photos"]
     residual = ((renderings + LIGHT_FLOOR).log() - (photos + LIGHT_FLOOR).log()).flatten(1)
-    is_counted = (batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0).expand_as(photos).flatten(1)
+    is_counted = (batch["unobstructed"] > 0).expand_as(photos).flatten(1)
     is_counted = is_counted & ((photos <= CLIPPED_LINEAR_VALUE).flatten(1) | (residual < 0))
     prior_log = math.log(GENERAL_NOISE_SHARE) + _find_noise_log(residual, is_counted)
     return {**settings, "noise": torch.logaddexp(2 * settings["noise"], 2 * prior_log) / 2}

@@ -8,14 +8,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.recipes import GENTLE, PHOTO_RECIPES
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos
+from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import PhotoSetSight
+from metapp.apps.svbrdf_nonstationary.several.stereo_encoder import StereoEncoder
+from metapp.apps.svbrdf_nonstationary.several.texel_judge import TexelJudge
+from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelMaps
 from metapp.learning.recipe import Adam, OuterLoop
+
+
+def of_several(height: int, width: int) -> SvbrdfNonstationary:
+    """Return the application whose fits see several photographs, with maps of height x width texels."""
+    return SvbrdfNonstationary(TexelMaps(height, width), PhotoSetSight(), TexelJudge(), StereoEncoder(), FINEST_PX)
+
 
 # On 18 validation materials, clean, a rate of 0.035 leaves 0.726 of a flat map's angles, 0.05 0.717, 0.06 0.729.
 SEVERAL = replace(
     PHOTO_RECIPES["full"],
-    app=SeveralPhotos(),
+    app=of_several(256, 256),
     steps=8,
     overfit_steps=300,
     overfit=Adam(0.05, beta1=0.9, beta2=0.95, final_rate_share=0.0),

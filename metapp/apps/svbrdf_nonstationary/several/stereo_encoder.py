@@ -7,10 +7,12 @@ its outputs over photographs do not depend on their order. A U-Net over texels r
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
+from typing_extensions import override
 
 from metapp.apps.svbrdf_nonstationary.encoder import (
     ENCODER_LEAKY_SLOPE,
@@ -19,10 +21,14 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     apply_pointwise,
     upsample,
 )
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes
 from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
-from metapp.apps.svbrdf_nonstationary.several.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading
-from metapp.learning.task import Params
+from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import SeenPhotos
+from metapp.apps.svbrdf_nonstationary.several.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_photos
+from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelMaps
+from metapp.learning.composed import Encoder
+from metapp.learning.task import Batch, Params
 from metapp.networks.layers import add_layer, apply_convolution
 
 STEM_CHANNELS = 32  # channels of the network that reads a photograph
@@ -75,3 +81,34 @@ def predict_maps(params: Params, reading: Reading, relief: Tensor) -> tuple[Tens
     slopes = 2 * torch.sigmoid(gates[:, :1]) * slopes + 0.5 * change[:, : CHANNELS[0]]
     maps = torch.cat([slopes, others + 2 * change[:, CHANNELS[0] :]], 1)
     return maps, apply_pointwise(params, "deviation", x).clamp(-8, 4)
+
+
+@dataclass(frozen=True)
+class StereoEncoder(Encoder[SeenPhotos]):
+    """The encoder of several photographs: a network that corrects photometric stereo."""
+
+    @override
+    def init(self, rng: Generator, decoder: TexelMaps) -> Params:
+        return init(rng)
+
+    @override
+    def select_input(self, seen: SeenPhotos) -> Batch:
+        """Return `photos`, `places` and `relief`; see :class:`SeenPhotos`."""
+        return {"photos": seen.photos, "places": seen.places, "relief": seen.relief}
+
+    @override
+    def __call__(self, encoder: Params, encoder_input: Batch, decoder: TexelMaps) -> Params:
+        """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
+        reading = read_photos(encoder_input["photos"], encoder_input["places"])
+        maps, log_scales = predict_maps(encoder, reading, encoder_input["relief"])
+        # General predicts one scale for each kind of map: all numbers of that kind share it.
+        expanded_scales = [
+            log_scale.expand(-1, count, -1, -1)
+            for log_scale, count in zip(log_scales.split(1, 1), CHANNELS, strict=True)
+        ]
+        return {
+            "maps": maps,
+            "flash": estimate_flashes(decode_maps(maps), encoder_input["photos"], encoder_input["places"]),
+            "falloff": maps.new_zeros(len(maps), 1),
+            "prior": torch.cat([maps, *expanded_scales], 1),
+        }

@@ -62,14 +62,12 @@ def make_svbrdf_nonstationary_view(presenter: SvbrdfNonstationaryPresenter, thet
         theta: the parameters of the fit, without a task axis.
         task: the task that was fitted, with its photographs.
     """
-    app = presenter.app
-    photos = [task.data["photo"], *task.data.get("others", ())]
-    flashes = app.flashes(theta, task)
-    photos = photos[: len(flashes)]
-    shows_photos = app.observes == "photo"  # else the photo was rendered from the maps
+    flashes, photos = presenter.flashes(theta, task), presenter.app.sight.photos(task)
+    # fits of maps see no photograph: theirs was rendered from the maps
+    linear_photos = [None] * len(flashes) if photos is None else [decode_photo(photo) for photo in photos]
     lit_pictures = [
-        LitPicture(flash.place, flash.eye, float(flash.gain), decode_photo(photo) if shows_photos else None)
-        for flash, photo in zip(flashes, photos, strict=True)
+        LitPicture(flash.place, flash.eye, float(flash.gain), photo)
+        for flash, photo in zip(flashes, linear_photos, strict=True)
     ]
     reference = unpack_maps(task.data["maps"].float()) if "maps" in task.data else None
     return make_surface_view(presenter.surface(theta, task), lit_pictures, reference=reference)
@@ -87,7 +85,7 @@ def make_svbrdf_stationary_view(presenter: SvbrdfStationaryPresenter, theta: Par
     lit_pictures = []
     if "image" in task.data:
         photo = app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        light_position, share = app.statistics.find_light(photo)[0], presenter.photo_share(task)
+        light_position, share = app.statistics.find_light(photo)[0], app.photo_share(task, presenter.size)
         linear_photo = photo[0] ** DISPLAY_GAMMA
         lit_pictures = [LitPicture(light_position, light_position, photo=linear_photo, shown_share=share)]
     return make_surface_view(presenter.surface(theta, task), lit_pictures, falloff=FLASH_FALLOFF)
@@ -106,7 +104,7 @@ def make_texture_view(presenter: TexturePresenter, theta: Params, task: Task) ->
     fit = presenter.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
-        exemplar = presenter.exemplar_at_file_scale(task)
+        exemplar = presenter.app.take_file_exemplar(task)
         if (times := exemplar.shape[-1] / MAX_TEXTURE_SIDE_PX) > 1:
             fit, exemplar = (_reduce_picture(picture, times) for picture in (fit.permute(2, 0, 1), exemplar))
             fit = fit.permute(1, 2, 0)

@@ -1,0 +1,78 @@
+"""The sight of one photograph by General with features of VGG-16: texels beneath highlights count less."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from torch import Generator, Tensor
+from typing_extensions import override
+
+from metapp.appearance.svbrdf_maps import Maps
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto, compare_photos
+from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
+from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
+from metapp.apps.svbrdf_nonstationary.pretrained.scars import hidden_share, remove_scars, trust_texels
+from metapp.learning.task import Params, Tasks
+
+
+class SeenWindow(NamedTuple):
+    """A window of a photographed patch, which training alone sees, and what is known of the whole patch.
+
+    Attributes:
+        photo: the linear photograph of the window, [T, 3, h, w].
+        inputs: what fields read of each of its pixels, [T, PIXEL_INPUTS, h, w].
+        overview, highlight, guess, code, flash: descriptions of the whole patch, see :func:`describe_patch`.
+    """
+
+    photo: Tensor
+    inputs: Tensor
+    overview: Tensor
+    highlight: Tensor
+    guess: Tensor
+    code: Tensor
+    flash: Tensor
+
+    @property
+    def camera(self) -> Tensor:
+        """The heights of cameras, [T, 1]: 0, as they are not known."""
+        return self.photo.new_zeros(len(self.photo), 1)
+
+
+@dataclass(frozen=True)
+class FeatureSight(PhotoSight):
+    """The sight of one photograph, or in training of windows of one.
+
+    Beside `maps` a training task may hold `map_weights` [4], weights of the losses of its maps, 0 where a map is made
+    up.
+    """
+
+    @override
+    def seen_type_of(self, tensors: Mapping[str, Tensor]) -> type[Any]:
+        return SeenWindow if tensors.keys() >= set(SeenWindow._fields) else SeenPhoto
+
+    @override
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
+        """Draw windows of half the side of fits' maps of augmented materials, photographed anew."""
+        fine, map_weights = (tasks.data[key][tasks.rows].float() for key in ("fine", "map_weights"))
+        return draw_variants(fine, map_weights, side // 2, rng)
+
+    @override
+    def loss(self, answer: PhotographedMaps, seen: SeenPhoto, loss_parameters: Params) -> Tensor:
+        """Return the difference from the photograph, [T]; texels beneath a highlight count less.
+
+        See :func:`trust_texels`.
+        """
+        radiance = answer.render()
+        weights = trust_texels(answer.maps, radiance, answer.flash)
+        return compare_photos(radiance, seen.photo, loss_parameters, weights)
+
+    @override
+    def find_hidden_share(self, answer: PhotographedMaps) -> Tensor:
+        return hidden_share(answer.maps, answer.flash)
+
+    @override
+    def fill(self, answer: PhotographedMaps, photo: Tensor) -> Maps:
+        """Remove scars of highlights; see :func:`remove_scars`. Then fill maps where photographs clip."""
+        return super().fill(answer._replace(maps=remove_scars(answer.maps, photo, answer.flash)), photo)

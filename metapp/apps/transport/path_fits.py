@@ -1,0 +1,120 @@
+"""Densities of light paths: the decoder, what a fit sees of a scene, and how it is judged.
+
+Scenes are traced, and pictures rendered, by other modules: losses and errors here are likelihoods of samples.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from typing_extensions import override
+
+from metapp.apps.transport.flow import Flow
+from metapp.learning.composed import Decoder, Judge, Sight
+from metapp.learning.task import Params, Task, Tasks
+
+OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
+
+# A function of points [T, 4, N] of primary sample space that returns log q(film) and log q(directions | film), [T, N]
+PathDensity = Callable[[Tensor], tuple[Tensor, Tensor]]
+
+
+class SeenPaths(NamedTuple):
+    """A scene as fits see it.
+
+    Attributes:
+        samples: light paths in primary sample space, [T, N, 4] in [0, 1], in proportion to the luminance they carry.
+        image: the linear picture of the scene, [T, 3, 32, 32], which General's encoder alone reads.
+    """
+
+    samples: Tensor
+    image: Tensor
+
+
+class HeldOutPaths(NamedTuple):
+    """Light paths that no fit sees: `held_out` [T, M, 4], like those of :class:`SeenPaths`."""
+
+    held_out: Tensor
+
+
+@dataclass(frozen=True)
+class FlowDensity(Decoder[PathDensity, SeenPaths]):
+    """The decoder of densities that a flow has.
+
+    Attributes:
+        network: the flow.
+    """
+
+    network: Flow
+
+    @override
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.network.init(rng, count)
+
+    @override
+    def __call__(self, theta: Params, seen: Any = None) -> PathDensity:
+        return functools.partial(self.network.log_density, theta)
+
+
+@dataclass(frozen=True)
+class PathSight(Sight[PathDensity, SeenPaths]):
+    """The sight of light paths of a scene: random ones in each step."""
+
+    seen_type = SeenPaths
+
+    @override
+    def prepare(self, task: Task, decoder: FlowDensity) -> SeenPaths:
+        return SeenPaths(task.data["samples"].float(), task.data["image"].float())
+
+    @override
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> SeenPaths:
+        """Draw `count` of the paths of each task."""
+        samples = tasks.data["samples"]
+        rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
+        return SeenPaths(samples[tasks.rows[:, None], rows], tasks.data["image"][tasks.rows])
+
+    @override
+    def loss(self, answer: PathDensity, seen: SeenPaths, loss_parameters: Params) -> Tensor:
+        """Return the mean negative log-likelihood of the paths, [T]."""
+        film, directions = answer(seen.samples.mT.contiguous())
+        return -(film + directions).mean(1)
+
+    @override
+    def complete(self, answer: PathDensity, seen: SeenPaths) -> PathDensity:
+        return answer
+
+
+@dataclass(frozen=True)
+class PathJudge(Judge[PathDensity, SeenPaths, HeldOutPaths]):
+    """The judge of densities by the likelihood of light paths that are held out."""
+
+    truth_type = sampled_type = HeldOutPaths
+
+    @override
+    def prepare(self, task: Task, decoder: FlowDensity) -> HeldOutPaths | None:
+        return HeldOutPaths(task.data["held_out"].float()) if "held_out" in task.data else None
+
+    @override
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> None:
+        """Return None: training judges densities by the paths that fits see."""
+
+    @override
+    def query(self, answer: PathDensity, truth: HeldOutPaths) -> tuple[Tensor, Tensor]:
+        """Return log q(film) and log q(directions | film) of the held-out paths, [T, M] each."""
+        return answer(truth.held_out.mT)
+
+    @override
+    def errors(self, prediction: tuple[Tensor, Tensor], seen: SeenPaths, truth: HeldOutPaths) -> dict[str, Tensor]:
+        """Return the mean negative log-likelihood, `error` [T], and its parts `film` and `directions`."""
+        film, directions = prediction
+        return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
+
+    @override
+    def outer_loss(self, answer: PathDensity, seen: SeenPaths, truth: Any) -> Tensor:
+        """Return the loss of the first OUTER_SAMPLES paths, [T]: scenes differ more than samples of one scene do."""
+        return PathSight().loss(answer, seen._replace(samples=seen.samples[:, :OUTER_SAMPLES]), {})
