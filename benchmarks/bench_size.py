@@ -44,10 +44,11 @@ def app_at_size(name: str, side: int) -> App:
     """Return an application of recipe full with its pictures or maps at another size."""
     app: Any = registry().applications[name].recipes_observing()["full"].load().app
     if name == "illumination":
-        field = app.network._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
-        app = replace(app, network=field)
+        field = app.decoder.network._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
+        app = replace(app, decoder=replace(app.decoder, network=field))
     elif name == "svbrdf_nonstationary":
-        app = replace(app, network=app.network._replace(height=side, width=side, rows=side, columns=side))
+        field = app.decoder.network._replace(height=side, width=side, rows=side, columns=side)
+        app = replace(app, decoder=replace(app.decoder, network=field))
     else:
         # all octaves take part from the first step on, as in the last steps of a fit
         app = replace(app, octaves=replace(app.octaves, height=side, width=side, shares=()))

@@ -5,7 +5,7 @@ has its centre at u = (column + 0.5) / W and v = (row + 0.5) / H, and lies in th
 u = atan2(d.x, -d.z) / (2 pi) mod 1 and v = acos(d.y) / pi, as in Mitsuba 3's `envmap`: the middle looks to +z.
 The sphere that maps light is seen from +z: x to the right, y up, all rays of view parallel.
 
-Everything is differentiable and takes any dtype and device. Materials and cameras are not known here.
+Everything is differentiable and takes any dtype and device.
 """
 
 from __future__ import annotations

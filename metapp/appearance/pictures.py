@@ -1,7 +1,6 @@
 """Pictures that applications make of fits, as plain data.
 
-Presenters make them and commands write them; both import this module, so that it knows neither. It knows no
-application and no file format either.
+Presenters make them and commands write them; both import this module, so that it knows neither.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Reflection by rough surfaces: microfacets, their masking, and Fresnel's equations by Schlick.
 
 Everything is differentiable and takes any leading axes, dtype and device; shapes broadcast. Cosines are with the
-surface normal unless said otherwise. Nothing here knows of textures or lights.
+surface normal unless said otherwise.
 """
 
 from __future__ import annotations

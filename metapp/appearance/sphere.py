@@ -1,7 +1,7 @@
 """A lit sphere, the picture of a BRDF.
 
 All sphere pictures of BRDFs, of fits and references alike, come from the scenes here: pairs of pixel and light, to be
-multiplied with reflectance. Nothing here knows what represents a BRDF; it is a function of angles.
+multiplied with reflectance.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The recipes of an application with fits of the thing itself, and with fits of one photograph of it.
 
-Two applications have such tables, which differ in their networks and in how they are trained. None is known here.
+Two applications have such tables, which differ in their networks and in how they are trained.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The contract of an application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
 Learning needs these few methods and nothing else, so that an application runs in a notebook without the command line.
+Most applications fulfil the contract by components, see :mod:`metapp.learning.composed`.
 What people look at, such as pictures and surfaces, is made elsewhere, by `metapp.appearance.presenter.Presenter`.
 """
 
@@ -49,9 +50,9 @@ class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
     All methods are batched over tasks: parameters and batches have a leading task axis T. Every application defines the
-    abstract methods. The other methods have defaults, which do nothing. A recipe holds an
-    application; all sizes are fields of it, so that two applications with equal fields are equal. A subclass with
-    fields of its own is a frozen dataclass, too.
+    abstract methods; the other methods have defaults. A recipe holds an application; all sizes are
+    fields of it, so that two applications with equal fields are equal. A subclass with fields of its own is a frozen
+    dataclass, too.
 
     What :meth:`prepare` returns of each task is stacked: methods that take `tasks` find a tensor of the T selected
     tasks as `tasks.data[name][tasks.rows]`. An application that has baselines defines `errors_of(prediction, tasks)`,
@@ -89,7 +90,7 @@ class App(ABC):
 
     @property
     def encoder_settings(self) -> tuple[object, ...]:
-        """All that General's encoder depends on: applications with equal settings can share its checkpoint."""
+        """The settings by which applications can share a checkpoint of General: those with equal ones do."""
         # named tuples of different types are equal where their fields are
         return tuple((type(value), value) for value in (getattr(self, field.name) for field in fields(self)))
 

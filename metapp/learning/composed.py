@@ -1,12 +1,13 @@
 """An application made of four components: a decoder, a sight, a judge and an encoder.
 
-They answer four questions of the paper's L_theta(x | I): what parameters theta mean (the decoder), which observations I
-a fit sees and how far an answer is from them (the sight), how an answer differs from the truth that fits never see (the
-judge), and how General predicts parameters (the encoder). Each can be exchanged by itself: fits of an environment map
-and fits of a photographed ball differ in their sights alone.
+They answer four questions about the paper's L_theta(x | I). The decoder: what do parameters theta mean? The sight:
+which observations I does a fit see, and how far is an answer from them? The judge: how far is an answer from the truth,
+which fits never see? The encoder: which parameters does General predict? Each can be exchanged by itself: fits of an
+environment map and fits of a photographed ball differ in their sights alone.
 
-What a sight and a judge prepare of a task are named tuples of tensors without a task axis; tasks that are fitted
-together stack them, so that all other methods find them with a leading task axis T.
+What a sight and a judge prepare of a task are named tuples of tensors without a task axis. Tasks that are fitted
+together stack these tensors, by the names of the fields: all other methods find them with a leading task axis T. Fields
+of a sight and of a judge that have one name are one tensor.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Truth = TypeVar("Truth")
 
 
 class Decoder(ABC, Generic[Answer, Seen]):
-    """What the parameters of a fit mean: from parameters to an answer, such as maps of a material."""
+    """The meaning of the parameters of a fit: a function from parameters to an answer, such as maps of a material."""
 
     @property
     def is_periodic(self) -> bool:
@@ -51,24 +52,27 @@ class Decoder(ABC, Generic[Answer, Seen]):
 
         Args:
             theta: parameters [T, ...].
-            seen: what the fits saw, [T, ...], of which an answer may depend, too: I in the paper.
+            seen: what the fits saw, [T, ...], on which an answer may depend, too: I in the paper.
         """
 
     def decode_for_steps(self, theta: Params, seen: Seen) -> Answer:
-        """Return the answer of each task with gradients in those parameters alone that steps of fits change."""
+        """Return the answers whose gradients steps of fits follow. The default is the answer itself.
+
+        A decoder that keeps steps from changing some parameters detaches them here.
+        """
         return self(theta, seen)
 
-    def decode_for_training(self, theta: Params, seen: Seen) -> Answer:
-        """Return the answer of each task that outer losses judge; the answer itself, where nothing else is said."""
+    def decode_for_training(self, theta: Params, seen: Seen) -> Any:
+        """Return what outer losses are of. The default is the answer itself."""
         return self(theta, seen)
 
     def postprocess(self, theta: Params) -> Params:
-        """Change fits [T, ...] after their last step, before they are evaluated and stored; here not at all."""
+        """Change fits [T, ...] after their last step, before they are evaluated and stored. The default keeps them."""
         return theta
 
 
 class Sight(ABC, Generic[Answer, Seen]):
-    """What a fit sees of a task, and the loss of an answer by it.
+    """The observations of a task that a fit sees, and the loss of an answer by them.
 
     Attributes:
         observes: what fits see, a value of --observe; "" if all fits of the application see the same.
@@ -84,28 +88,31 @@ class Sight(ABC, Generic[Answer, Seen]):
 
         Args:
             task: the task.
-            decoder: the decoder of the application, whose sizes tensors follow.
+            decoder: the decoder of the application, whose sizes the tensors follow.
 
         Raises:
             ValueError: the task lacks what a fit must see.
         """
 
     def seen_type_of(self, tensors: Mapping[str, Tensor]) -> type[Any]:
-        """Return the named tuple of what is seen in tensors by name: augmented tasks may show something else."""
+        """Return the named tuple of what tensors by name show. The default is :attr:`seen_type`.
+
+        A sight whose training shows something else than its fits see overrides it.
+        """
         return self.seen_type
 
     def gather(self, tasks: Tasks) -> Seen:
-        """Return what fits see of tasks, [T, ...], as :meth:`prepare` prepared it."""
+        """Return all that fits see of tasks, [T, ...]."""
         seen_type = self.seen_type_of(tasks.data)
         seen: Seen = seen_type(**tasks.gather(seen_type._fields))
         return seen
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Seen:
-        """Draw `count` random samples of what fits see of each task, [T, ...]; here all of it, whatever the count."""
+        """Draw what one step sees of each task, [T, ...]. The default is all that fits see, whatever the count."""
         return self.gather(tasks)
 
     def read(self, batch: Batch) -> Seen:
-        """Return what :meth:`sample` drew, out of the tensors [T, ...] of a batch by name."""
+        """Return what :meth:`sample` drew, given the tensors [T, ...] of a batch by name."""
         seen_type = self.seen_type_of(batch)
         seen: Seen = seen_type(*(batch[name] for name in seen_type._fields))
         return seen
@@ -121,7 +128,7 @@ class Sight(ABC, Generic[Answer, Seen]):
         """
 
     def initial_loss_parameters(self, steps: int) -> Params:
-        """Return initial values [steps, ...] of the loss parameters that a rule may learn, by name."""
+        """Return initial values [steps, ...] of the loss parameters that a rule may learn. The default is none."""
         return {}
 
     def least_squares(self, decoder: Any, theta: Params, seen: Seen, loss_parameters: Params) -> LeastSquares:
@@ -131,50 +138,69 @@ class Sight(ABC, Generic[Answer, Seen]):
         """
         raise NotImplementedError
 
-    def find_parameters(self, tasks: Tasks, decoder: Any) -> Params:
-        """Return parameters [T, ...] of the decoder that follow from what is seen in closed form, without any step."""
+    def task_parameters(self, tasks: Tasks, decoder: Any) -> Params:
+        """Return parameters [T, ...] that follow from what is seen without any step. The default is none."""
         return {}
 
     @property
-    def found_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        """The forms of the parameters that :meth:`find_parameters` returns, by name, without a task axis."""
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        """The forms of the parameters that fits have besides those that the decoder draws, or in another shape."""
         return {}
 
     @abstractmethod
     def complete(self, answer: Answer, seen: Seen) -> Any:
-        """Return the predictions that are judged and shown: answers, and what is seen better than it is fitted."""
+        """Return what is shown and judged of answers: with that which is seen better than it is fitted."""
 
 
 class Judge(ABC, Generic[Answer, Seen, Truth]):
-    """How far predictions are from the truth: errors of fits and of baselines, and the loss that training lowers.
+    """The truth that fits do not see: errors of fits and of baselines, and the outer loss by which training learns.
 
     Attributes:
         truth_type: the named tuple that :meth:`prepare` returns.
         sampled_type: the named tuple that :meth:`sample` returns.
-        draws_samples: whether :meth:`sample` draws held-out samples in the form of what fits see. The outer loss is
-            then the inner loss of these, and judges get None in place of what fits saw.
+        trains_by_sight: whether the outer loss is the sight's loss of what :meth:`sample` draws, which then has the
+            form of what fits see. Else :meth:`outer_loss` is the outer loss.
     """
 
     truth_type: ClassVar[type[Any]]
     sampled_type: ClassVar[type[Any]]
-    draws_samples: ClassVar[bool] = False
+    trains_by_sight: ClassVar[bool] = False
 
     @abstractmethod
     def prepare(self, task: Task, decoder: Any) -> Truth | None:
         """Prepare the truth of one task, without a task axis; None if the task has none."""
 
     def gather(self, tasks: Tasks) -> Truth | None:
-        """Return the truth of tasks, [T, ...], as :meth:`prepare` prepared it; None if not all tasks have it."""
+        """Return the truth of tasks, [T, ...]; None if not all tasks have it."""
         names = self.truth_type._fields
         return self.truth_type(**tasks.gather(names)) if tasks.data.keys() >= set(names) else None
 
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Any:
-        """Draw what an outer loss compares, [T, ...]; here all of the truth, or None if tasks have none."""
-        return self.gather(tasks)
+    def require(self, tasks: Tasks) -> Truth:
+        """Return the truth of training tasks, [T, ...].
 
-    def query(self, answer: Any, truth: Truth) -> Any:
-        """Return what is judged of a completed answer: the answer itself, or its values where the truth is known."""
-        return answer
+        Raises:
+            ValueError: not all tasks have it.
+        """
+        truth = self.gather(tasks)
+        if truth is None:
+            missing = " and ".join(sorted(set(self.truth_type._fields) - tasks.data.keys()))
+            raise ValueError(
+                f"{tasks.selected_names[0]}: no {missing} in some training task, expected the truth in all; train on a "
+                "data set that has it."
+            )
+        return truth
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Any:
+        """Draw what the outer loss compares, [T, ...]. The default is all of the truth.
+
+        Raises:
+            ValueError: not all tasks have the truth.
+        """
+        return self.require(tasks)
+
+    def query(self, prediction: Any, truth: Truth) -> Any:
+        """Return what is judged of completed answers: themselves, or values of functions where the truth is known."""
+        return prediction
 
     @abstractmethod
     def errors(self, prediction: Any, seen: Seen, truth: Truth) -> dict[str, Tensor]:
@@ -186,25 +212,25 @@ class Judge(ABC, Generic[Answer, Seen, Truth]):
             truth: the truth of the tasks.
         """
 
-    def outer_loss(self, answer: Answer, seen: Seen, truth: Any) -> Tensor:
-        """Compute the outer loss of each fit, [T]; judges that draw samples need none.
+    def outer_loss(self, answer: Any, seen: Seen, truth: Any) -> Tensor:
+        """Compute the outer loss of each fit, [T]; judges that train by the sight have none.
 
         Args:
-            answer: the answers of the decoder.
+            answer: what `Decoder.decode_for_training` returns.
             seen: what the fits saw.
-            truth: what :meth:`sample` drew; None if the training tasks have no truth.
+            truth: what :meth:`sample` drew.
         """
         raise NotImplementedError
 
 
 class Encoder(ABC, Generic[Seen]):
-    """The encoder of General: from what is seen to parameters, in one forward pass.
+    """The encoder of General: a function from what is seen to parameters, in one forward pass.
 
     Attributes:
-        samples: how many samples of what a fit sees the encoder reads, if the sight draws samples.
+        samples: how many random samples of what a fit sees the encoder reads; None for all that a fit sees.
     """
 
-    samples: ClassVar[int] = 0
+    samples: ClassVar[int | None] = None
 
     def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
         """Return the conditions that errors depend on, by name; see :meth:`App.recorded_conditions`."""
@@ -231,87 +257,65 @@ class Encoder(ABC, Generic[Seen]):
 
 @dataclass(frozen=True)
 class ComposedApp(App):
-    """An application that is put together: every method asks one of the components.
+    """An application that fulfils the contract by asking its components.
 
     A subclass states the name, the error measure and the tensors of tasks, and how tasks are augmented.
 
     Attributes:
-        decoder: what parameters mean.
+        decoder: the meaning of parameters.
         sight: what a fit sees.
-        judge: how answers are judged.
-        encoder: how General predicts parameters.
+        judge: the truth, and how answers are judged by it.
+        encoder: General's encoder.
     """
 
-    decoder: Any
-    sight: Any
-    judge: Any
-    encoder: Any
+    decoder: Decoder[Any, Any]
+    sight: Sight[Any, Any]
+    judge: Judge[Any, Any, Any]
+    encoder: Encoder[Any]
 
     @property
     @override
     def observes(self) -> str:
-        """What fits see, a value of --observe, as the sight says."""
-        observes: str = self.sight.observes
-        return observes
+        return self.sight.observes
 
     @property
     @override
     def is_periodic(self) -> bool:
-        return bool(self.decoder.is_periodic)
+        return self.decoder.is_periodic
 
     @property
     @override
     def linear_parameter(self) -> str:
-        name: str = self.decoder.linear_parameter
-        return name
+        return self.decoder.linear_parameter
 
     @property
     @override
     def encoder_settings(self) -> tuple[object, ...]:
-        return self.decoder, self.encoder
+        return self.decoder, self.encoder, self.judge
+
+    @override
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        return self.encoder.recorded_conditions(device)
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Prepare what a fit sees and, if the task has one, the truth, by the names of their fields."""
         seen: dict[str, Tensor] = self.sight.prepare(task, self.decoder)._asdict()
-        if seen.keys() >= set(self.judge.truth_type._fields):
-            return seen  # a fit that sees the truth itself
         truth = self.judge.prepare(task, self.decoder)
         return seen if truth is None else seen | truth._asdict()
 
-    def see(self, tasks: Tasks) -> Any:
-        """Return what fits see of tasks, as the sight prepared it, [T, ...]."""
-        return self.sight.gather(tasks)
-
-    def find_truth(self, tasks: Tasks) -> Any | None:
-        """Return the truth of tasks, as the judge prepared it, [T, ...]; None if not all tasks have it."""
-        return self.judge.gather(tasks)
-
-    @override
-    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        conditions: dict[str, str] = self.encoder.recorded_conditions(device)
-        return conditions
-
-    @override
-    def postprocess(self, theta: Params) -> Params:
-        kept: Params = self.decoder.postprocess(theta)
-        return kept
-
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        theta: Params = self.decoder.init(rng, count)
-        return theta
+        return self.decoder.init(rng, count)
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        parameters: Params = self.sight.find_parameters(tasks, self.decoder)
-        return parameters
+        return self.sight.task_parameters(tasks, self.decoder)
 
     @property
     @override
     def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        specs: Mapping[str, TensorSpec] = self.sight.found_parameter_specs
-        return specs
+        return self.sight.task_parameter_specs
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
@@ -321,83 +325,72 @@ class ComposedApp(App):
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         seen = self.sight.read(batch)
-        loss: Tensor = self.sight.loss(self.decoder.decode_for_steps(theta, seen), seen, loss_parameters)
-        return loss
-
-    @override
-    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
-        squares: LeastSquares = self.sight.least_squares(self.decoder, theta, self.sight.read(batch), loss_parameters)
-        return squares
+        return self.sight.loss(self.decoder.decode_for_steps(theta, seen), seen, loss_parameters)
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
-        parameters: Params = self.sight.initial_loss_parameters(steps)
-        return parameters
+        return self.sight.initial_loss_parameters(steps)
+
+    @override
+    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
+        return self.sight.least_squares(self.decoder, theta, self.sight.read(batch), loss_parameters)
 
     @property
     @override
     def has_outer_loss(self) -> bool:
-        return not self.judge.draws_samples
+        is_overridden = type(self).outer_loss is not ComposedApp.outer_loss
+        return is_overridden or not self.judge.trains_by_sight
 
     @override
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Draw what fits see, and what the judge compares with the truth; or held-out samples alone."""
-        truth = self.judge.sample(tasks, rng, count)
-        drawn: Batch = {} if truth is None else truth._asdict()
-        return drawn if self.judge.draws_samples else self.sample(tasks, rng, count) | drawn
+        """Draw what the judge compares and, unless that has the form of what fits see, what these see."""
+        drawn: Batch = self.judge.sample(tasks, rng, count)._asdict()
+        return drawn if self.judge.trains_by_sight else self.sample(tasks, rng, count) | drawn
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        if not self.has_outer_loss:
+        if self.judge.trains_by_sight:
             return self.loss(theta, batch, loss_parameters)
         seen = self.sight.read(batch)
-        names = self.judge.sampled_type._fields
-        truth = self.judge.sampled_type(*(batch[name] for name in names)) if batch.keys() >= set(names) else None
-        loss: Tensor = self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, truth)
-        return loss
+        truth = self.judge.sampled_type(*(batch[name] for name in self.judge.sampled_type._fields))
+        return self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, truth)
 
     @override
     def init_encoder(self, rng: Generator) -> Params:
-        encoder: Params = self.encoder.init(rng, self.decoder)
-        return encoder
+        return self.encoder.init(rng, self.decoder)
 
     @override
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        batch: Batch = self.encoder.select_input(self.sight.sample(tasks, rng, self.encoder.samples))
-        return batch
+        count = self.encoder.samples
+        seen = self.sight.gather(tasks) if count is None else self.sight.sample(tasks, rng, count)
+        return self.encoder.select_input(seen)
 
     @override
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
-        theta: Params = self.encoder(encoder, encoder_input, self.decoder)
-        return theta
+        return self.encoder(encoder, encoder_input, self.decoder)
+
+    @override
+    def postprocess(self, theta: Params) -> Params:
+        return self.decoder.postprocess(theta)
 
     def prediction(self, theta: Params, seen: Any) -> Any:
-        """Return the predictions of fits [T, ...] that are judged and shown; see :meth:`Sight.complete`.
+        """Return what is shown and judged of fits [T, ...]; see :meth:`Sight.complete`.
 
         Args:
             theta: fits [T, ...].
-            seen: what the fits saw, from :meth:`see`.
+            seen: what the fits saw, from :meth:`Sight.gather`.
         """
         return self.sight.complete(self.decoder(theta, seen), seen)
 
     @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        truth = self.find_truth(tasks)
+        truth = self.judge.gather(tasks)
         if truth is None:
             return {}
-        seen = None if self.judge.draws_samples else self.see(tasks)
-        errors: dict[str, Tensor] = self.judge.errors(
-            self.judge.query(self.prediction(theta, seen), truth), seen, truth
-        )
-        return errors
+        return self.errors_of(self.judge.query(self.prediction(theta, self.sight.gather(tasks)), truth), tasks)
 
     def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Measure how far predictions of fits or baselines are from the truth; {} if the tasks have none."""
-        truth = self.find_truth(tasks)
-        if truth is None:
-            return {}
-        errors: dict[str, Tensor] = self.judge.errors(
-            prediction, None if self.judge.draws_samples else self.see(tasks), truth
-        )
-        return errors
+        """Measure predictions of fits or baselines, see :meth:`Judge.errors`; {} if the tasks have no truth."""
+        truth = self.judge.gather(tasks)
+        return {} if truth is None else self.judge.errors(prediction, self.sight.gather(tasks), truth)

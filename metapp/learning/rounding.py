@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
+import torch
 from torch import Tensor
 
 from metapp.learning.rules import append_axes
+from metapp.learning.task import Params
 
 
 def round_absolute(difference: Tensor, rounding: Tensor) -> Tensor:
@@ -19,3 +23,20 @@ def round_absolute(difference: Tensor, rounding: Tensor) -> Tensor:
     """
     rounding = append_axes(rounding, difference)
     return (difference * difference + rounding * rounding).sqrt() - rounding
+
+
+def initial_smoothing(steps: int, smoothing: float) -> Params:
+    """Return initial values of the loss parameter `smoothing` [steps], logs of s in :func:`smooth_absolute`."""
+    return {"smoothing": torch.full((steps,), math.log(smoothing))}
+
+
+def smooth_absolute(difference: Tensor, loss_parameters: Params) -> Tensor:
+    """Return |d| of differences d [T, ...], or sqrt(d^2 + s^2) - s where a rule has learned the loss parameter s.
+
+    Args:
+        difference: the differences.
+        loss_parameters: `smoothing` [T], the logs of s; {} for |d|.
+    """
+    if not loss_parameters:
+        return difference.abs()
+    return round_absolute(difference, torch.exp(loss_parameters["smoothing"]))

@@ -1,30 +1,20 @@
-"""Applications whose network has a code in every place, which General's encoder reads from a photograph.
+"""Encoders for networks that have a code in every place, which is read from a photograph.
 
 The functions below split General's parameters into a reader of the encoder input and a decoder that all tasks share.
 """
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Collection
 from typing import Any
 
-import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.learning.composed import Encoder
-from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Batch, Params
 from metapp.networks.field import LocalField, regrid
-
-INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
-
-
-def initial_smoothing(steps: int, smoothing: float = INITIAL_SMOOTHING) -> Params:
-    """Return initial values of the loss parameter `smoothing` [steps], logs of s in :func:`smooth_absolute`."""
-    return {"smoothing": torch.full((steps,), math.log(smoothing))}
 
 
 class CodeEncoder(Encoder[Any]):
@@ -90,15 +80,3 @@ def add_decoder(predicted: Params, encoder: Params) -> Params:
     shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
     count = len(next(iter(predicted.values())))
     return predicted | {key: value.expand(count, *value.shape) for key, value in shared.items()}
-
-
-def smooth_absolute(difference: Tensor, loss_parameters: Params) -> Tensor:
-    """Return |d| of differences d [T, ...], or sqrt(d^2 + s^2) - s where a rule has learned the loss parameter s.
-
-    Args:
-        difference: the differences.
-        loss_parameters: `smoothing` [T], the logs of s; {} for |d|.
-    """
-    if not loss_parameters:
-        return difference.abs()
-    return round_absolute(difference, torch.exp(loss_parameters["smoothing"]))

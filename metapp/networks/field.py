@@ -1,7 +1,4 @@
-"""A field: a network of a few units that is evaluated at each texel, and whose code varies from place to place.
-
-Nothing here knows what the inputs and outputs of a field mean.
-"""
+"""A field: a network of a few units that is evaluated at each texel, and whose code varies from place to place."""
 
 from __future__ import annotations
 

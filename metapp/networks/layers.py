@@ -1,7 +1,7 @@
 """The layers of encoders, and of generators of pictures.
 
 Layers of generators compute several tasks at once, as groups of one convolution. Their maps tile, and a code styles
-their channels. Pictures that are large for the memory are computed by rows. Nothing here knows of applications.
+their channels. Pictures that are large for the memory are computed by rows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Pictures of pieces of a photograph, and the network that corrects how these pieces fit together.
 
 A quilt is kept as the place in the photograph of each of its cells, so that it can be fetched at the photograph's own
-resolution. What the network adds is smooth, and enlarged with it. Nothing here knows features or losses.
+resolution. What the network adds is smooth, and enlarged with it.
 """
 
 from __future__ import annotations

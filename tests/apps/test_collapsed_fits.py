@@ -43,7 +43,7 @@ def app_with_fixed_maps(app: SvbrdfNonstationary, maps: Maps) -> SvbrdfNonstatio
         def make_maps(self, theta: Params, photo: Tensor) -> Maps:
             return maps
 
-    return replace(app, decoder=FixedMaps(app.decoder.network, app.decoder.camera))
+    return replace(app, decoder=FixedMaps(app.decoder.network, app.decoder.camera_motion))
 
 
 def test_black_maps_get_a_warning() -> None:

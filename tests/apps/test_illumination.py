@@ -181,13 +181,13 @@ def test_a_mirror_is_taken_as_it_is_and_fits_in_its_unit(rng: Generator) -> None
     app, light = PHOTO, lamps(2)
     tasks = stack_tasks(app, [mirror_ball_task(light)])
     theta, front = app.init(rng, 1), texel_directions(8, 16)[2] > 0
-    prediction, target = app.prediction(theta, app.see(tasks))[0], tasks.data["map"][0]
+    prediction, target = app.prediction(theta, app.sight.gather(tasks))[0], tasks.data["map"][0]
     # the rest is the network's, but for its scale
     for ratio in ((prediction / target)[:, front], (prediction / app.decoder(theta).maps[0])[:, ~front]):
         torch.testing.assert_close(ratio, ratio.mean().expand(3, 64), rtol=1e-4, atol=0)
     app, theta = exact(app, tasks)
     torch.testing.assert_close(
-        app.prediction(theta, app.see(tasks)), tasks.data["map"] / mean_luminance(tasks.data["map"])
+        app.prediction(theta, app.sight.gather(tasks)), tasks.data["map"] / mean_luminance(tasks.data["map"])
     )
     assert app.loss(theta, app.sample(tasks, rng, 1), {}).max() < 1e-5  # at whatever scale
 
@@ -199,11 +199,11 @@ def test_clipped_parts_of_a_mirror_are_at_least_as_bright(rng: Generator) -> Non
     tasks = stack_tasks(app, [mirror_ball_task(light, clip=2.0)])
     target, batch = tasks.data["map"], app.sample(tasks, rng, 1)
     app, theta = exact(app, tasks)
-    torch.testing.assert_close(app.prediction(theta, app.see(tasks)), target)  # though it was seen as 2
+    torch.testing.assert_close(app.prediction(theta, app.sight.gather(tasks)), target)  # though it was seen as 2
     assert app.loss(theta, batch, {}).max() < 1e-5
     app = app_with_fixed_maps(app, target.clamp(max=1.0))
     assert app.loss(theta, batch, {}).min() > 0.01
-    prediction = app.prediction(theta, app.see(tasks))[0, 0]
+    prediction = app.prediction(theta, app.sight.gather(tasks))[0, 0]
     torch.testing.assert_close(
         prediction[4, 8] / prediction[4, 6], CLIPPED_LIGHT_FACTOR * 2 / light[0, 0, 0]
     )  # what is lost usually

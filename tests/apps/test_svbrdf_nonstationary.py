@@ -192,10 +192,10 @@ def test_photos_may_be_crops_and_are_filled_in_the_recipe_for_those_of_people_al
     for name, recipe in PHOTO_RECIPES.items():
         is_for_people = name == "full"
         assert recipe.app.sight.fills is is_for_people
-        assert recipe.app.decoder.camera == ("raised" if is_for_people else "fixed")
+        assert recipe.app.decoder.camera_motion == ("raised" if is_for_people else "fixed")
         assert recipe.app.read_size == (FINEST_PX if is_for_people else 0)
     for name, recipe in REFERENCE_RECIPES.items():
-        assert recipe.app.decoder.camera == "fixed"
+        assert recipe.app.decoder.camera_motion == "fixed"
         assert recipe.app.read_size == (FINEST_PX if name == "full" else 0)
 
 
@@ -208,7 +208,7 @@ def test_the_flash_of_a_fit_is_as_high_as_a_camera_of_known_height(rng: Generato
         places = {"places": torch.tensor([0.0, 0.0, height]).expand(1, 2, 3)} if height else {}
         tasks = stack_tasks(app, [Task("photo", {"photo": photo} | places)])
         theta = app.encode(encoder, app.encoder_input(tasks, rng))
-        heights[height] = float(app.decoder(theta, app.see(tasks)).flash.place[0, 2])
+        heights[height] = float(app.decoder(theta, app.sight.gather(tasks)).flash.place[0, 2])
     unknown, usual, known = heights.values()
     assert usual == unknown
     assert known == pytest.approx(5.0)
@@ -340,13 +340,13 @@ def test_clipped_parts_are_filled_in_maps_but_not_in_losses(
     monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: wrong)
     batch = photo_of_unknown_height(clipped)._asdict()
     stacked = replace(tasks, data=tasks.data | batch)
-    filled = people.prediction(exact, people.see(stacked))
+    filled = people.prediction(exact, people.sight.gather(stacked))
     assert filled.diffuse[0, :, 4:10, 4:10].min() > 0.1
     for part, before in zip(filled, wrong, strict=True):
         assert torch.equal(part[1:], before[1:])
     reference = replace(REFERENCE, encoder=PhotoEncoder(2, SIDE), read_px=FINEST_PX)
-    assert PHOTO.prediction(exact, PHOTO.see(stacked)) is wrong
-    assert reference.prediction(exact, reference.see(stacked)) is wrong
+    assert PHOTO.prediction(exact, PHOTO.sight.gather(stacked)) is wrong
+    assert reference.prediction(exact, reference.sight.gather(stacked)) is wrong
     (clause,), *others = presenter_of(people).quality_warnings(exact, stacked)
     assert clause == (
         "14 % of the photo is clipped, 14 % of the maps is filled from its surroundings (a darker exposure shows more)"

@@ -99,7 +99,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
             return 1e9
 
     studio = Slow(box.data["scene"].numpy().tobytes(), size=64, spp=64, reference_spp=16)
-    found = guided_pictures.picture_errors(studio, app.network, {"instant": TimedFit(uniform(app), 0.0)}, box)
+    found = guided_pictures.picture_errors(studio, app.decoder.network, {"instant": TimedFit(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert guided_pictures.EQUAL_TIME not in found["instant"]
     assert found["instant"][guided_pictures.FIXED_TIME] > 1e6

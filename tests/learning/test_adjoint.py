@@ -22,9 +22,9 @@ from metapp.learning.adjoint import (
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
+from metapp.learning.rounding import smooth_absolute
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
-from metapp.networks.coded import smooth_absolute
 from metapp.paradigms.adam import encoder_prediction
 from tests.learning.parabolas import refuse_to_draw
 from tests.paradigms.small import FEATURE_NETWORK, SMALL_APPLICATIONS, applicable_rules, small_app

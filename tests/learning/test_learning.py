@@ -183,7 +183,7 @@ def test_over_tasks_draws_as_many_of_each_kind(tasks: Tasks, rng: Generator) -> 
     assert sorted(over_tasks(EXACT_LOSS, count=9).draw(several, rng, 1.0).names) == list(NAMES)
 
 
-def test_over_tasks_draws_samples_of_augmented_tasks(tasks: Tasks, rng: Generator) -> None:
+def test_over_tasks_trains_by_sight_of_augmented_tasks(tasks: Tasks, rng: Generator) -> None:
     def augment(picked: Tasks, rng: Generator) -> Tasks:
         names = tuple(f"twice {name}" for name in picked.selected_names)
         return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))

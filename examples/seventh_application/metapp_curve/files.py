@@ -52,7 +52,7 @@ def export(app: Curve, theta: Params, path: Path) -> None:
 
     parameters = add_task_axis(theta)
     x = torch.linspace(-1, 1, 32)
-    rows = zip(x.tolist(), app.value(parameters, x[None, None])[0, 0].tolist(), strict=True)
+    rows = zip(x.tolist(), app.decoder.evaluate(parameters, x[None, None])[0, 0].tolist(), strict=True)
     lines = ["x,y", *(f"{x:.6g},{y:.6g}" for x, y in rows)]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.with_suffix(".csv").write_text("\n".join(lines) + "\n")

@@ -21,10 +21,11 @@ class Line(Baseline):
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """Fit the line to the visible samples of one task; two numbers are stored."""
-        x, y = (tasks.data[key][tasks.rows][0] for key in ("x", "y"))
-        columns = torch.stack([x, torch.ones_like(x)], 1)
-        coefficients = torch.linalg.lstsq(columns[::2], y[::2, None]).solution
-        return BaselineFit(lambda: (columns[1::2] @ coefficients).T[None], 2, 8)
+        names = ("x", "y", "held_out_x")
+        x, y, held_out_x = (tasks.data[name][tasks.rows][0, 0] for name in names)
+        coefficients = torch.linalg.lstsq(torch.stack([x, torch.ones_like(x)], 1), y[:, None]).solution
+        columns = torch.stack([held_out_x, torch.ones_like(held_out_x)], 1)
+        return BaselineFit(lambda: (columns @ coefficients).T[None], 2, 8)
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:

@@ -19,7 +19,7 @@ class CurvePresenter(Presenter[Curve]):
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Draw the curve and its fit, dark on white."""
         parameters = add_task_axis(theta)
-        fitted = self.app.value(parameters, torch.linspace(-1, 1, SAMPLES)[None, None])[0, 0]
+        fitted = self.app.decoder.evaluate(parameters, torch.linspace(-1, 1, SAMPLES)[None, None])[0, 0]
         return {"reference": plot(task.data["y"].float()), "fit": plot(fitted)}
 
     @override

@@ -2,7 +2,7 @@
 
 Half vectors are turned into a material's own axes, so that learned grooves and threads do not depend on how the sample
 lay in the instrument. No input changes if light and viewer are exchanged: a network that reads these inputs is
-reciprocal by construction. The network itself is not known here.
+reciprocal by construction.
 """
 
 from __future__ import annotations

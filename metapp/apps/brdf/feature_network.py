@@ -2,7 +2,7 @@
 
 Features of a pair of directions are learned on all training materials. A material has a code, which scales and shifts
 their hidden layers (FiLM, Perez et al. 2018), and a last, linear layer, which combines the features and which least
-squares can solve for (`metapp.learning.rules.solve`). Losses and rules are not known here.
+squares can solve for (`metapp.learning.rules.solve`).
 """
 
 from __future__ import annotations

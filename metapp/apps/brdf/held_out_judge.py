@@ -19,11 +19,11 @@ class HeldOutJudge(Judge[Reflectance, Any, ReflectanceSamples]):
     """The judge of reflectance at held-out samples."""
 
     truth_type = sampled_type = ReflectanceSamples
-    draws_samples = True
+    trains_by_sight = True
 
     @override
     def prepare(self, task: Task, decoder: BrdfNetwork) -> ReflectanceSamples | None:
-        """Return None: what the sight prepares holds the samples of both halves."""
+        """Return None: the sight prepares the samples of both halves, which augmentation changes together."""
         return None
 
     @override

@@ -5,7 +5,6 @@ Of each task's samples, fits see those of the first half; those of the second ha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -28,9 +27,10 @@ from metapp.apps.brdf.brdf_network import (
 from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS, sample_weights
 from metapp.learning.composed import Sight
 from metapp.learning.random_tensors import draw_uniform
+from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import LeastSquares, Params, Task, Tasks
-from metapp.networks.coded import smooth_absolute
 
+INITIAL_SMOOTHING = 0.05  # of |d| in losses, before a rule has learned it
 MANY_SAMPLES = 4096  # different samples, above which further ones count no more against penalties
 
 
@@ -49,6 +49,14 @@ class SampleSight(Sight[Reflectance, Any]):
         where = half_difference_and_cosine(angles)
         target = torch.log1p(task.data["reflectance"] * where[:, 6:])
         return ReflectanceSamples(where.float(), target.float())
+
+    @override
+    def gather(self, tasks: Tasks) -> Any:
+        """Return the samples of the first half."""
+        half = tasks.data["where"].shape[1] // 2
+        return ReflectanceSamples(
+            *(tasks.data[name][tasks.rows, :half].transpose(1, 2) for name in ReflectanceSamples._fields)
+        )
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Any:
@@ -76,7 +84,7 @@ class SampleSight(Sight[Reflectance, Any]):
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values of log `smoothing`, [steps], and `weights` [steps, 8]."""
-        return {"smoothing": torch.full((steps,), math.log(0.05)), "weights": torch.zeros(steps, WEIGHT_KNOTS)}
+        return initial_smoothing(steps, INITIAL_SMOOTHING) | {"weights": torch.zeros(steps, WEIGHT_KNOTS)}
 
     @override
     def complete(self, answer: Reflectance, seen: Any) -> Reflectance:
@@ -142,4 +150,4 @@ class DistinctSampleSight(SampleSight):
     def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values of log `smoothing`, [steps], and `evidence` [steps, 2]."""
         evidence = torch.tensor([1.0, 0.0]).repeat(steps, 1)
-        return {"smoothing": torch.full((steps,), math.log(0.05)), "evidence": evidence}
+        return initial_smoothing(steps, INITIAL_SMOOTHING) | {"evidence": evidence}

@@ -254,15 +254,14 @@ class ExemplarApp(App):
         images = images.gather(1, channels[..., None, None].expand(images.shape))
         targets = replace(self, candidates=1).make_targets(images, octave)
         changes = PictureChanges(is_flipped, is_transposed, channels)
-        return tasks.make_variants(targets | self.change_data(tasks, changes, targets))
+        return tasks.make_variants(targets | self.change_data(tasks, changes))
 
-    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
-        """Return further data of exemplars whose pictures are changed at random; here there are none.
+    def change_data(self, tasks: Tasks, changes: PictureChanges) -> dict[str, Tensor]:
+        """Return further data of exemplars whose pictures are changed at random. The default is none.
 
         Args:
             tasks: the exemplars before that.
             changes: how their pictures are changed.
-            targets: what :meth:`make_targets` returns for the changed pictures.
         """
         return {}
 

@@ -1,7 +1,4 @@
-"""The statistics by which exemplars are described, and the distance of pictures from them.
-
-Applications extend :class:`Statistics`; nothing here knows of networks, noise or steps.
-"""
+"""The statistics by which exemplars are described, and the distance of pictures from them."""
 
 from __future__ import annotations
 

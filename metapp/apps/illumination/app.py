@@ -7,7 +7,7 @@ which is judged by what it lights.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -15,10 +15,9 @@ from typing_extensions import override
 
 from metapp.appearance.photograph import photograph_spheres
 from metapp.apps.illumination.ball_encoder import BallEncoder
-from metapp.apps.illumination.ball_sight import BallSight
+from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField
 from metapp.apps.illumination.map_augmentation import vary_maps
-from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.relit_judge import RelitJudge
 from metapp.apps.illumination.spheres import SPHERE_NAMES
 from metapp.learning.app import ErrorMeasure
@@ -31,10 +30,10 @@ DEFAULT_READ_ROWS = 64  # rows to which readers resample files of maps unless th
 
 @dataclass(frozen=True)
 class Illumination(ComposedApp):
-    """The application of illumination: a task is one environment map of mean luminance 1."""
+    """The application of illumination: a task is one environment map of mean luminance 1, or a photographed ball."""
 
     decoder: LightField
-    sight: MapSight | BallSight
+    sight: LightSight[Any]
     judge: RelitJudge = field(default_factory=RelitJudge)
     encoder: BallEncoder = field(default_factory=BallEncoder)
 
@@ -77,7 +76,7 @@ class Illumination(ComposedApp):
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Return augmented maps, and new photographs of spheres under them."""
-        maps, photo_px = vary_maps(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
+        """Return augmented maps, and new photographs of spheres under them. Raises ValueError if a task has no map."""
+        maps, photo_px = vary_maps(self.judge.require(tasks).map, rng), tasks.data["photo"].shape[-1]
         photos = (photograph_spheres(maps, rng, photo_px) * 255).round().to(torch.uint8)
         return tasks.make_variants(self.sight.observe(maps, photos)._asdict() | self.judge.describe(maps)._asdict())

@@ -18,6 +18,7 @@ from typing_extensions import override
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.mirror import (
@@ -29,9 +30,9 @@ from metapp.apps.illumination.mirror import (
     scale_to_seen,
     shows_mirror,
 )
-from metapp.learning.composed import Sight
+from metapp.apps.illumination.radiance_losses import INITIAL_SMOOTHING
+from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task
-from metapp.networks.coded import initial_smoothing, smooth_absolute
 
 LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
@@ -55,7 +56,7 @@ class SeenBall(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BallSight(Sight[Lighting, SeenBall]):
+class BallSight(LightSight[SeenBall]):
     """The sight of one photograph of a sphere."""
 
     observes = "photo"
@@ -65,8 +66,8 @@ class BallSight(Sight[Lighting, SeenBall]):
     def prepare(self, task: Task, decoder: LightField) -> SeenBall:
         return SeenBall(task.data["photos"][0], *read_mirror_light(task, decoder.network.height, decoder.network.width))
 
+    @override
     def observe(self, maps: Tensor, photos: Tensor) -> SeenBall:
-        """Return what fits see of photographs [T, 3, S, S] of spheres, no mirrors, under maps [T, 3, H, W]."""
         return SeenBall(photos, torch.zeros_like(maps), torch.zeros_like(maps[:, :2]))
 
     @override
@@ -84,23 +85,25 @@ class BallSight(Sight[Lighting, SeenBall]):
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
-        return initial_smoothing(steps)
+        return initial_smoothing(steps, INITIAL_SMOOTHING)
 
     @override
     def complete(self, answer: Lighting, seen: SeenBall) -> Tensor:
         """Return the maps [T, 3, H, W] of mean luminance 1, with the light in a mirror where it is seen."""
         return normalise_luminance(complete_maps(answer.maps, seen.mirror))
 
+    @override
     def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
         """Return the map [1, 3, H, W] of mean luminance 1, with the light in a mirror if the task holds it."""
         light = read_mirror_light(task, *answer.maps.shape[-2:])
         return normalise_luminance(complete_maps(answer.maps, MirrorLight(*(tensor[None] for tensor in light))))
 
-    def show_photo(self, task: Task) -> Tensor | None:
-        """Return the photograph of a task, display values [3, S, S]."""
+    @override
+    def show_photo(self, task: Task) -> Tensor:
         return task.data["photos"][0] / 255
 
-    def compare_photo(self, answer: Lighting, seen: SeenBall) -> PictureComparison | None:
+    @override
+    def compare_photo(self, answer: Lighting, seen: SeenBall) -> PictureComparison:
         """Return the ball as the fit makes it beside its photograph; of a mirror, the light in it, unwrapped."""
         if shows_mirror(seen.mirror)[0]:
             maps, light = (
@@ -110,6 +113,7 @@ class BallSight(Sight[Lighting, SeenBall]):
         side = seen.photo.shape[-1]
         return PictureComparison(answer.photograph(side), seen.photo / 255, sphere_normals(side)[1])
 
+    @override
     def describe_visible(self, task: Task) -> VisibleData:
         """Return what steps see, all of the photograph, which General's encoder reads, too."""
         return VisibleData(1, task.data["photos"][0].nbytes, 1)

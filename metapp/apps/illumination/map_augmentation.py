@@ -1,7 +1,6 @@
 """Data augmentation of environment maps: turned, tinted and mixed maps, other contrasts, lamps.
 
-All functions take and return linear radiance [T, 3, H, W]. Photographs of spheres under the maps, and fits, are not
-known here.
+All functions take and return linear radiance [T, 3, H, W].
 """
 
 from __future__ import annotations

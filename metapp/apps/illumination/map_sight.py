@@ -12,14 +12,19 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.latlong import resample_maps
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import VisibleData
+from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
-from metapp.apps.illumination.radiance_losses import compare_reflected_radiance, compare_texels, reflect_radiance
+from metapp.apps.illumination.radiance_losses import (
+    INITIAL_SMOOTHING,
+    compare_reflected_radiance,
+    compare_texels,
+    reflect_radiance,
+)
 from metapp.apps.illumination.suns import SUN_SPECS, find_suns, split_suns
-from metapp.learning.composed import Sight
+from metapp.learning.rounding import initial_smoothing
 from metapp.learning.task import Params, Task, Tasks, TensorSpec
-from metapp.networks.coded import initial_smoothing
 
 # A texel's weight in the inner loss is its solid angle times (1 + LIGHT_WEIGHT * radiance), where radiance is 1 on
 # average: bright texels count more, so that few steps find suns.
@@ -43,7 +48,7 @@ class SeenMap(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MapSight(Sight[Lighting, SeenMap]):
+class MapSight(LightSight[SeenMap]):
     """The sight of a map: all of its texels, and its brightest small lights, which are found in closed form."""
 
     observes = "reference"
@@ -60,18 +65,18 @@ class MapSight(Sight[Lighting, SeenMap]):
         maps = resample_maps(task.data["map"][None].float(), network.height, network.width)
         return SeenMap(*(tensor[0] for tensor in self.observe(maps, task.data["photos"][:1])))
 
+    @override
     def observe(self, maps: Tensor, photos: Tensor) -> SeenMap:
-        """Return what fits see of maps [T, 3, H, W] of the size of fits, given photographs of spheres under them."""
         return SeenMap(photos, maps, reflect_radiance(maps), find_suns(maps))
 
     @override
-    def find_parameters(self, tasks: Tasks, decoder: LightField) -> Params:
+    def task_parameters(self, tasks: Tasks, decoder: LightField) -> Params:
         """Return the suns of the maps, which steps leave as they are."""
         return split_suns(tasks.data["suns"][tasks.rows])
 
     @property
     @override
-    def found_parameter_specs(self) -> Mapping[str, TensorSpec]:
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
         return SUN_SPECS
 
     @override
@@ -89,25 +94,18 @@ class MapSight(Sight[Lighting, SeenMap]):
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
-        return initial_smoothing(steps) | {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))}
+        return initial_smoothing(steps, INITIAL_SMOOTHING) | {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))}
 
     @override
     def complete(self, answer: Lighting, seen: SeenMap) -> Tensor:
         """Return the fitted maps [T, 3, H, W], of mean luminance 1."""
         return normalise_luminance(answer.maps)
 
+    @override
     def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
-        """Return the fitted map [1, 3, H, W], of mean luminance 1; the task's data are not needed."""
         return normalise_luminance(answer.maps)
 
-    def show_photo(self, task: Task) -> Tensor | None:
-        """Return the photograph of a task that a fit sees, or None: a fit of a map sees none."""
-        return None
-
-    def compare_photo(self, answer: Lighting, seen: SeenMap) -> PictureComparison | None:
-        """Return the fit beside the photograph that it saw, or None: a fit of a map saw none."""
-        return None
-
+    @override
     def describe_visible(self, task: Task) -> VisibleData:
         """Return what steps see, all of the map; General's encoder reads the photograph alone."""
         return VisibleData(1, task.data["map"].nbytes, 0)

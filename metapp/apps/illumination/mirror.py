@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn.functional import relu
 
 from metapp.appearance.latlong import mean_luminance, resample_maps, solid_angles
+from metapp.learning.rounding import smooth_absolute
 from metapp.learning.task import Params, Task
-from metapp.networks.coded import smooth_absolute
 
 RADIANCE_FLOOR = 0.01  # radiance over the mean luminance of what is seen, below which its log is flat
 CLIPPED_DISPLAY_VALUE = 0.98  # display value from which a photograph of a ball is a lower bound of the light

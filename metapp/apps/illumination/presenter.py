@@ -69,7 +69,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @override
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        seen = self.app.see(stack_tasks(self.app, [task]))
+        seen = self.app.sight.gather(stack_tasks(self.app, [task]))
         return self.app.sight.compare_photo(self.app.decoder(add_task_axis(theta)), seen)
 
     @override
@@ -82,9 +82,9 @@ class IlluminationPresenter(Presenter[Illumination]):
     def _maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return maps [1, 3, H, W] by name: `reference` if it is known, and `fit`."""
         tasks = stack_tasks(self.app, [task])
-        truth = self.app.find_truth(tasks)
+        truth = self.app.judge.gather(tasks)
         reference = {} if truth is None else {"reference": truth.map}
-        return reference | {"fit": self.app.prediction(add_task_axis(theta), self.app.see(tasks))}
+        return reference | {"fit": self.app.prediction(add_task_axis(theta), self.app.sight.gather(tasks))}
 
     @override
     @torch.no_grad()
@@ -137,7 +137,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Warn of a fit that is the same everywhere, where the map that it was fitted to is not."""
-        truth = self.app.find_truth(tasks)
+        truth = self.app.judge.gather(tasks)
         if truth is None:
             return super().quality_warnings(theta, tasks)
         pairs = zip(self.app.decoder(theta).maps, truth.map, strict=True)

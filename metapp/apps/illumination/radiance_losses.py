@@ -8,10 +8,11 @@ from torch import Tensor
 
 from metapp.appearance.latlong import solid_angles
 from metapp.apps.illumination.spheres import surface_transfer
+from metapp.learning.rounding import smooth_absolute
 from metapp.learning.task import Params
-from metapp.networks.coded import smooth_absolute
 
 RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
+INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
 REFLECTED_RADIANCE_FLOOR = 0.02  # radiance that a white surface reflects under such a map, below which its log is flat
 
 

@@ -4,7 +4,7 @@ The spheres are a mirror, matte silver, and gray plastic, by name "diffuse". The
 2022), which DiffusionLight (Phongthawee et al. 2024) follows: maps are tone-mapped first, then light the spheres, so
 that suns count little beside the rest of the map. The materials are taken from DiffusionLight's Blender scenes. In
 these scenes the camera sees a perspective from a distance of 16; here it is far away, at +z, as for photographs of
-spheres. Where maps come from is not known here.
+spheres.
 """
 
 from __future__ import annotations

@@ -1,9 +1,12 @@
 """Non-stationary svBRDFs: maps of a flat material from one to nine photographs under a flash.
 
-Read `maps`, what maps are; `flashes`, how they look under a flash; `app`, what all fits share; `coded_maps` with
-`encoder` and `variants`, fits of known maps and of one photograph; then `pretrained`, one photograph by features of
-VGG-16, and `several`, several photographs. People photograph from the `places` that are drawn for training. `recipes`
-and `presenter` are as in every application.
+Read `maps`, what maps are, and `flashes`, how they look under a flash; then `app`, the application that is put together
+of components. `field_maps` has the decoder of maps by a field, with `photographed_maps`, its answers; `material_sight`
+what all sights share, `maps_sight` fits that see the maps and `photo_sight` fits of one photograph; `map_judge` how
+maps are judged, with the outer loss of fields in `field_judge`; `encoder` General's encoder; `variants` data
+augmentation. `pretrained` has the components for one photograph by features of VGG-16, and `several` those for several
+photographs. People photograph from the `places` that are drawn for training. `recipes` and `presenter` are as in every
+application.
 """
 
 from __future__ import annotations

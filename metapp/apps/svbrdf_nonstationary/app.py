@@ -16,6 +16,7 @@ from typing_extensions import override
 from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge
 from metapp.apps.svbrdf_nonstationary.maps import pool_maps
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, photographed_size
+from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialAnswer, MaterialDecoder
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.composed import ComposedApp
 from metapp.learning.task import Params, Task, Tasks, TensorSpec, add_task_axis
@@ -27,13 +28,15 @@ FINEST_PX = 2048  # longest side at which a user's photograph is read
 class SvbrdfNonstationary(ComposedApp):
     """The application of non-stationary svBRDFs: a task is one flat material, photographed with a flash.
 
-    A task has `photo`, taken from straight above with the flash beside the lens, and, where they are known, the
-    material's `maps`; `others` and `places` are of further photographs.
+    A task has `photo`, taken from straight above with the flash beside the lens, maybe `others`, further photographs,
+    and `places`, the positions of camera and flash of all of them. Where they are known, it has the material's `maps`,
+    maybe with `map_weights`, weights of the losses of the maps in training, and `predicted`, another method's maps.
 
     Attributes:
         read_px: the side, in px, at which a user's photographs are read; 0 leaves it to the readers.
     """
 
+    decoder: MaterialDecoder[Any, Any]
     sight: MaterialSight[Any, Any]
     judge: MapJudge
     read_px: int = 0
@@ -55,6 +58,7 @@ class SvbrdfNonstationary(ComposedApp):
         "others": TensorSpec(("K", 3, "S", "S"), "uint8", optional=True),
         "predicted": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
         "places": TensorSpec(("N", 2, 3), low=-1e3, high=1e3, optional=True),
+        "map_weights": TensorSpec((4,), low=0.0, optional=True),
     }
 
     @property
@@ -81,7 +85,7 @@ class SvbrdfNonstationary(ComposedApp):
             prepared["predicted"] = pool_maps(task.data["predicted"].float(), self.decoder.size)
         return prepared
 
-    def decode(self, theta: Params, task: Task, photo: Tensor) -> Any:
+    def decode(self, theta: Params, task: Task, photo: Tensor) -> MaterialAnswer:
         """Return the answer of one fit at the size of a linear photograph [1, 3, h, w], with a task axis.
 
         Args:
@@ -93,11 +97,16 @@ class SvbrdfNonstationary(ComposedApp):
             ValueError: the fit, which anybody may have written, is not of the task.
         """
         try:
-            return self.decoder.decode(add_task_axis(theta), photo, self.sight.read_camera(task)[None])
+            answer: MaterialAnswer = self.decoder.decode(
+                add_task_axis(theta), photo, self.sight.read_cameras(task)[None]
+            )
         except ValueError as error:
             raise ValueError(f"{task.name}: {error}") from None
+        return answer
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Vary the materials, and photograph them anew."""
-        return tasks.make_variants(self.sight.augment(tasks, self.decoder.size[0], rng))
+        """Vary the materials, and photograph them anew. Raises ValueError if a task has no maps."""
+        self.judge.require(tasks)
+        seen, truth = self.sight.augment(tasks, self.decoder.size[0], rng)
+        return tasks.make_variants(seen._asdict() | truth._asdict())

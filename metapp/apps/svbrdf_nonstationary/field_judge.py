@@ -36,9 +36,9 @@ class FieldJudge(MapJudge):
         steepness_difference = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         differences = map_differences(maps, target)
         # roughness and normals count twice, as photos say less of them
-        map_loss = compare_maps(differences, {}) + compare_maps(differences[2:], {})
+        map_loss = compare_maps(differences, {}) + compare_maps((differences.roughness, differences.normal), {})
         loss = pictures + MAPS_WEIGHT * map_loss + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steepness_difference
-        return loss + BLOTS_WEIGHT * blots(differences[0], seen.photo)
+        return loss + BLOTS_WEIGHT * blots(differences.diffuse, seen.photo)
 
 
 def _steepness(maps: Maps) -> Tensor:

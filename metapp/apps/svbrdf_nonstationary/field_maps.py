@@ -19,8 +19,7 @@ from metapp.apps.svbrdf_nonstationary.flashes import (
     decode_flash,
 )
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, PIXEL_INPUTS, decode_maps, pixel_inputs
-from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
-from metapp.learning.composed import Decoder
+from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialDecoder, PhotographedMaps
 from metapp.learning.task import Params
 from metapp.networks.field import STRIP_TEXELS, LocalField, evaluate_by_rows
 
@@ -44,19 +43,20 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 
 @dataclass(frozen=True)
-class FieldMaps(Decoder[PhotographedMaps, Any]):
+class FieldMaps(MaterialDecoder[PhotographedMaps, Any]):
     """The decoder of maps that a field makes of a photograph, and of the flash among a fit's parameters.
 
     Attributes:
         network: the field.
-        camera: how the camera moves with the flash. It is "fixed" where photographs show the patch as fits expect, and
-            "raised" for photographs that people take, which may be crops.
+        camera_motion: how the camera moves with the flash. It is "fixed" where photographs show the patch as fits
+            expect, and "raised" for photographs that people take, which may be crops.
     """
 
     network: LocalField
-    camera: CameraMotion = "fixed"
+    camera_motion: CameraMotion = "fixed"
 
     @property
+    @override
     def size(self) -> tuple[int, int]:
         """The height and width of the maps in texels."""
         return self.network.height, self.network.width
@@ -72,17 +72,12 @@ class FieldMaps(Decoder[PhotographedMaps, Any]):
 
     @override
     def __call__(self, theta: Params, seen: Any) -> PhotographedMaps:
-        return self.decode(theta, seen.photo, seen.camera)
+        return self.decode(theta, seen.photo, seen.camera_height)
 
-    def decode(self, theta: Params, photo: Tensor, camera: Tensor) -> PhotographedMaps:
-        """Return the maps of fits, and their flashes.
-
-        Args:
-            theta: fits [T, ...].
-            photo: linear photographs [T, 3, h, w]; the maps have their size.
-            camera: known heights of cameras in half sides of the patch, [T, 1]; 0 where they are not known.
-        """
-        return PhotographedMaps(self.make_maps(theta, photo), self.decode_flash_numbers(theta["flash"], camera))
+    @override
+    def decode(self, theta: Params, photo: Tensor, cameras: Tensor) -> PhotographedMaps:
+        """Return maps and flashes; `cameras` are heights in half sides of the patch, [T, 1], 0 where not known."""
+        return PhotographedMaps(self.make_maps(theta, photo), self.decode_flash_numbers(theta["flash"], cameras))
 
     def make_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Return the maps [T, C, h, w] of fits at the size of linear photographs [T, 3, h, w].
@@ -100,12 +95,15 @@ class FieldMaps(Decoder[PhotographedMaps, Any]):
         """Return the maps [T, C, h, w] that outputs of fields, [T, sum(CHANNELS), h, w], stand for."""
         return decode_maps(raw)
 
-    def decode_flash_numbers(self, flash: Tensor, heights: Tensor) -> Flash:
-        """Return the flashes of parameters [T, FLASH_NUMBERS]; of cameras that move they are as high as is known."""
+    def decode_flash_numbers(self, flash: Tensor, camera_heights: Tensor) -> Flash:
+        """Return the flashes of parameters [T, FLASH_NUMBERS].
+
+        Where a camera that moves has a known height, so has its flash.
+        """
         numbers = self.network.gain * flash
-        if self.camera == "fixed":
+        if self.camera_motion == "fixed":
             return decode_flash(numbers)
         x, y, log_height, gain = numbers.split(1, 1)
-        known = (heights / camera_distance()).log() / FLASH_LOG_HEIGHT
-        log_height = torch.where(heights > 0, known, log_height)
-        return decode_flash(torch.cat([x, y, log_height, gain], 1), camera=self.camera)
+        known = (camera_heights / camera_distance()).log() / FLASH_LOG_HEIGHT
+        log_height = torch.where(camera_heights > 0, known, log_height)
+        return decode_flash(torch.cat([x, y, log_height, gain], 1), camera=self.camera_motion)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -29,44 +29,52 @@ DRAWN_LIGHTS = (1, 2)  # lights that are drawn anew for each outer step: anywher
 
 
 class TrueMaps(NamedTuple):
-    """The maps that fits are judged by, packed, at the size of fits: `maps` [T, 10, H, W]."""
+    """The maps that fits are judged by.
+
+    Attributes:
+        maps: packed maps [T, 10, H, W], at the size of fits.
+        map_weights: weights of losses of diffuse colour, specular colour, roughness and normals, [T, 4]: 0 where a
+            training set lacks a map, which is made up.
+    """
 
     maps: Tensor
+    map_weights: Tensor
 
 
 class LitMaps(NamedTuple):
     """True maps, and random lights under which an outer loss compares pictures of them.
 
     Attributes:
-        maps: packed maps [T, 10, H, W].
+        maps, map_weights: see :class:`TrueMaps`.
         pairs: positions of lights and viewers in half sides of the patch, [T, V, 2, 3].
     """
 
     maps: Tensor
+    map_weights: Tensor
     pairs: Tensor
 
 
 @dataclass(frozen=True)
-class MapJudge(Judge[Any, Any, Any]):
+class MapJudge(Judge[Any, Any, TrueMaps]):
     """The judge of maps. Subclasses add the outer loss by which fits are trained."""
 
-    truth_type: ClassVar[type[Any]] = TrueMaps
-    sampled_type: ClassVar[type[Any]] = LitMaps
+    truth_type, sampled_type = TrueMaps, LitMaps
 
     @override
-    def prepare(self, task: Task, decoder: Any) -> Any:
+    def prepare(self, task: Task, decoder: Any) -> TrueMaps | None:
         if "maps" not in task.data:
             return None
-        return TrueMaps(pool_maps(task.data["maps"].float(), decoder.size))
+        maps = pool_maps(task.data["maps"].float(), decoder.size)
+        return TrueMaps(maps, task.data.get("map_weights", torch.ones(4)).float())
 
     @override
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Any:
-        """Add random lights and viewers, `pairs`."""
-        truth = self.gather(tasks)
-        return None if truth is None else self.sampled_type(*truth, draw_pairs(DRAWN_LIGHTS, rng, len(tasks)))
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> LitMaps:
+        """Add random lights and viewers."""
+        truth = self.require(tasks)
+        return LitMaps(truth.maps, truth.map_weights, draw_pairs(DRAWN_LIGHTS, rng, len(tasks)))
 
     @override
-    def errors(self, prediction: Maps, seen: Any, truth: Any) -> dict[str, Tensor]:
+    def errors(self, prediction: Maps, seen: Any, truth: TrueMaps) -> dict[str, Tensor]:
         """Measure how far maps [T, C, H, W] of the size of fits are off.
 
         Returns:
@@ -77,19 +85,21 @@ class MapJudge(Judge[Any, Any, Any]):
         target = unpack_maps(truth.maps)
         logs, references = judged_radiance(prediction), judged_radiance(target)
         cosine = (prediction.normal * target.normal).sum(1).clamp(-1, 1)
-        differences = dict(zip(("diffuse", "specular", "roughness"), map_differences(prediction, target), strict=False))
+        differences = map_differences(prediction, target)
         steepness = [map_statistics(material)[:, 0, -1] + LEVEL_SINE for material in (prediction, target)]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steepness[0] / steepness[1],
-            "blots": blots(differences["diffuse"], seen.photo),
-            **{name: difference.abs().mean((1, 2, 3)) for name, difference in differences.items()},
+            "blots": blots(differences.diffuse, seen.photo),
+            "diffuse": differences.diffuse.abs().mean((1, 2, 3)),
+            "specular": differences.specular.abs().mean((1, 2, 3)),
+            "roughness": differences.roughness.abs().mean((1, 2, 3)),
         }
 
     @abstractmethod
     @override
-    def outer_loss(self, answer: Any, seen: Any, truth: Any) -> Tensor: ...
+    def outer_loss(self, answer: Any, seen: Any, truth: LitMaps) -> Tensor: ...
 
 
 def log_radiance(maps: Maps, pairs: Tensor, positions: Tensor | None = None) -> Tensor:

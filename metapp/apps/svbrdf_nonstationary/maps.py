@@ -84,16 +84,13 @@ def find_slopes(normals: Tensor) -> Tensor:
     return normals[:, :2] / normals[:, 2:].clamp_min(MIN_NORMAL_Z)
 
 
-def map_differences(maps: Maps, target: Maps) -> list[Tensor]:
-    """Return the differences of two sets of maps, [T, C, H, W] each.
-
-    They are of diffuse and specular colour, both at gamma 2.2, of roughness and of normals, in this order.
-    """
-    colour_differences = [
+def map_differences(maps: Maps, target: Maps) -> Maps:
+    """Return the differences of each map of two sets, [T, C, H, W], of colours at gamma 2.2."""
+    diffuse, specular = (
         _encode_gamma(colour) - _encode_gamma(target_colour)
         for colour, target_colour in zip(maps[:2], target[:2], strict=True)
-    ]
-    return [*colour_differences, maps.roughness - target.roughness, maps.normal - target.normal]
+    )
+    return Maps(diffuse, specular, maps.roughness - target.roughness, maps.normal - target.normal)
 
 
 def _encode_gamma(colour: Tensor) -> Tensor:

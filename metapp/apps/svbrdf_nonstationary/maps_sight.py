@@ -5,20 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import unpack_maps
-from metapp.apps.svbrdf_nonstationary.map_judge import fixed_pairs, log_radiance
+from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps, fixed_pairs, log_radiance
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, map_differences, pool_maps
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_materials
 from metapp.apps.svbrdf_nonstationary.photo_sight import SMOOTHING, compare_maps
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.variants import draw_photos
+from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.coded import initial_smoothing, smooth_absolute
 
 FITTED_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
 
@@ -39,7 +40,7 @@ class SeenMaps(NamedTuple):
     lit: Tensor
 
     @property
-    def camera(self) -> Tensor:
+    def camera_height(self) -> Tensor:
         """The heights of cameras, [T, 1]: 0, as they are not known."""
         return self.photo.new_zeros(len(self.photo), 1)
 
@@ -63,14 +64,14 @@ class MapsSight(MaterialSight[PhotographedMaps, SeenMaps]):
         return SeenMaps(*(tensor[0] for tensor in seen))
 
     @override
-    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
-        materials = draw_materials(tasks, side, rng)
-        photos = adaptive_avg_pool2d(draw_photos(materials, rng), side)
-        return _observe(photos, pool_maps(materials, (side, side)))._asdict()
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[SeenMaps, TrueMaps]:
+        materials, truth = draw_materials(tasks, side, rng)
+        return _observe(adaptive_avg_pool2d(draw_photos(materials, rng), side), truth.maps), truth
 
     @override
-    def read_camera(self, task: Task) -> Tensor:
-        return task.data["photo"].new_zeros(1).float()
+    def read_cameras(self, task: Task) -> Tensor:
+        """Return the height of the camera, [1]: 0, as it is not known."""
+        return torch.zeros(1, device=task.data["photo"].device)
 
     @override
     def loss(self, answer: PhotographedMaps, seen: SeenMaps, loss_parameters: Params) -> Tensor:
@@ -86,7 +87,7 @@ class MapsSight(MaterialSight[PhotographedMaps, SeenMaps]):
 
     @override
     def photos(self, task: Task) -> None:
-        """Return None: fits see no photograph."""
+        """Return None: steps see no photograph."""
 
     @override
     def describe_visible(self, task: Task) -> VisibleData:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, TypeVar
+from typing import Any
 
 from torch import Generator, Tensor
 from typing_extensions import override
@@ -11,41 +11,46 @@ from typing_extensions import override
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.appearance.uniform import black_fit_warnings
+from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
+from metapp.apps.svbrdf_nonstationary.maps import pool_maps
+from metapp.apps.svbrdf_nonstationary.photographed_maps import Answer, Seen
 from metapp.apps.svbrdf_nonstationary.variants import vary_materials
 from metapp.learning.composed import Sight
 from metapp.learning.task import Task, Tasks
-
-Answer = TypeVar("Answer")
-Seen = TypeVar("Seen")
 
 # Augmented materials are photographed FINER times as fine as fits' maps, up to this side.
 FINER, FINEST_SHOT_PX = 2, 256
 
 
 class MaterialSight(Sight[Answer, Seen]):
-    """The base of the sights of a flat material. All have the photograph that is taken from straight above, `photo`."""
+    """The base of the sights of a flat material, with what presenters ask of them.
+
+    Whatever fits see has `photo`, the photograph from straight above: decoders and General's encoder read it.
+    """
 
     @abstractmethod
-    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[Seen, TrueMaps]:
         """Vary the materials of training tasks, `fine` [M, 10, S, S], and photograph them anew.
 
         Args:
-            tasks: T tasks.
+            tasks: T tasks with known maps.
             side: the side of fits' maps, in texels.
             rng: draws all random numbers.
 
         Returns:
-            What fits see of the varied materials, and their packed maps, `maps` [T, 10, h, w], by name.
+            What fits see of the varied materials, and their maps.
         """
 
     @abstractmethod
-    def read_camera(self, task: Task) -> Tensor:
-        """Return what a task says of where its cameras were, without a task axis, as the decoder takes it."""
+    def read_cameras(self, task: Task) -> Tensor:
+        """Return what a task states of its cameras, without a task axis, in the form that the decoder takes."""
 
     def fill(self, answer: Answer, photo: Tensor) -> Maps:
-        """Return maps [T, C, h, w] that are filled where linear photographs [T, 3, h, w] tell little; here none are."""
-        maps: Maps = answer.maps  # type: ignore[attr-defined]
-        return maps
+        """Return maps [T, C, h, w] that are filled where linear photographs [T, 3, h, w] tell little.
+
+        The default fills none.
+        """
+        return answer.maps
 
     @override
     def complete(self, answer: Answer, seen: Any) -> Maps:
@@ -57,16 +62,16 @@ class MaterialSight(Sight[Answer, Seen]):
         return task.data["photo"][None]
 
     def picture_names(self, task: Task) -> list[str]:
-        """Return names for pictures of a fit as each photograph shows it; here none, as `fit` shows the only one."""
+        """Return names for pictures of a fit as each photograph shows it. The default is none, for one photograph."""
         return []
 
     def fit_remarks(self, answer: Answer, task: Task) -> dict[str, object]:
-        """Return remarks on the answer of one fit, by the names that records give them; here none."""
+        """Return remarks on the answer of one fit, by the names that records give them. The default is none."""
         return {}
 
     def quality_warnings(self, answer: Answer, seen: Any) -> list[list[str]]:
         """Return for each task clauses on maps that are black where the photo is not."""
-        maps: Maps = answer.maps  # type: ignore[attr-defined]
+        maps = answer.maps
         pairs = zip(maps.diffuse + maps.specular, seen.photo, strict=True)
         return [black_fit_warnings(colours, photo) for colours, photo in pairs]
 
@@ -80,10 +85,12 @@ def photographed_size(side: int) -> int:
     return max(side, min(FINER * side, FINEST_SHOT_PX))
 
 
-def draw_materials(tasks: Tasks, side: int, rng: Generator) -> Tensor:
-    """Return the materials of training tasks turned, mirrored, mixed and recoloured, as they are photographed.
+def draw_materials(tasks: Tasks, side: int, rng: Generator) -> tuple[Tensor, TrueMaps]:
+    """Turn, mirror, mix and recolour the materials of training tasks.
 
     Returns:
-        Packed maps [T, 10, S, S]; see :func:`photographed_size` for S.
+        Packed maps [T, 10, S, S] at the size at which materials are photographed, see :func:`photographed_size`, and
+        at the size of fits.
     """
-    return vary_materials(tasks.data["fine"][tasks.rows].float(), photographed_size(side), rng)
+    materials = vary_materials(tasks.data["fine"][tasks.rows].float(), photographed_size(side), rng)
+    return materials, TrueMaps(pool_maps(materials, (side, side)), materials.new_ones(len(materials), 4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,13 +15,13 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash_rendering import camera_distance
 from metapp.appearance.highlight import FILL_PX, clipped_highlight_warnings, fill_clipped, find_clipped, format_percent
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
-from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE, decode_photo, pixel_inputs, pool_maps
+from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, TrueMaps
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE, decode_photo, pixel_inputs
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_materials
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.variants import draw_photos
+from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.coded import initial_smoothing, smooth_absolute
 
 USUAL_LOG_HEIGHT = 0.05  # deviation of the log of a camera's height below which it is at `camera_distance`
 SMOOTHING = 0.03  # initial learned rounding of |d| in losses
@@ -32,16 +33,16 @@ class SeenPhoto(NamedTuple):
 
     Attributes:
         photo: the linear photograph [T, 3, H, W].
-        height: the height of the camera in half sides of the patch, [T, 1]; 0 if it is unknown or where fits expect it.
+        camera_height: the height of the camera in half sides of the patch, [T, 1]; 0 if it is unknown or where fits
+            expect it.
     """
 
     photo: Tensor
-    height: Tensor
+    camera_height: Tensor
 
     @property
-    def camera(self) -> Tensor:
-        """The heights of cameras, [T, 1]."""
-        return self.height
+    def positions(self) -> None:
+        """The positions of the pixels in the patch: None, as the photograph shows all of it."""
 
     @property
     def inputs(self) -> Tensor:
@@ -50,7 +51,7 @@ class SeenPhoto(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PhotoSight(MaterialSight[PhotographedMaps, SeenPhoto]):
+class PhotoSight(MaterialSight[PhotographedMaps, Any]):
     """The sight of one photograph.
 
     Attributes:
@@ -64,24 +65,23 @@ class PhotoSight(MaterialSight[PhotographedMaps, SeenPhoto]):
 
     @override
     def prepare(self, task: Task, decoder: Any) -> SeenPhoto:
-        return SeenPhoto(adaptive_avg_pool2d(decode_photo(task.data["photo"]), decoder.size), self.read_camera(task))
+        return SeenPhoto(adaptive_avg_pool2d(decode_photo(task.data["photo"]), decoder.size), self.read_cameras(task))
 
     @override
-    def read_camera(self, task: Task) -> Tensor:
+    def read_cameras(self, task: Task) -> Tensor:
         """Return the height of the camera, [1], in half sides; 0 if it is unknown or where fits expect it."""
         height = task.data.get("places", torch.zeros(1, 2, 3)).float()[0, 0, 2:]
         is_usual = (height / camera_distance()).log().abs() < USUAL_LOG_HEIGHT
         return torch.where(is_usual, 0, height)
 
     @override
-    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
-        materials = draw_materials(tasks, side, rng)
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[Any, TrueMaps]:
+        materials, truth = draw_materials(tasks, side, rng)
         photos = adaptive_avg_pool2d(draw_photos(materials, rng), side)
-        seen = SeenPhoto(photos, photos.new_zeros(len(photos), 1))
-        return seen._asdict() | {"maps": pool_maps(materials, (side, side))}
+        return SeenPhoto(photos, photos.new_zeros(len(photos), 1)), truth
 
     @override
-    def loss(self, answer: PhotographedMaps, seen: SeenPhoto, loss_parameters: Params) -> Tensor:
+    def loss(self, answer: PhotographedMaps, seen: Any, loss_parameters: Params) -> Tensor:
         """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
         return compare_photos(answer.render(), seen.photo, loss_parameters)
 
@@ -101,7 +101,7 @@ class PhotoSight(MaterialSight[PhotographedMaps, SeenPhoto]):
         return fill_clipped(answer.maps, linear_to_srgb(small))
 
     def find_hidden_share(self, answer: PhotographedMaps) -> Tensor:
-        """Return the share of texels of which a highlight hides the colours, [T]; here 0."""
+        """Return the share of texels of which a highlight hides the colours, [T]. The default, not measured, is 0."""
         return answer.maps.roughness.new_zeros(len(answer.maps.roughness))
 
     @override
@@ -110,7 +110,7 @@ class PhotoSight(MaterialSight[PhotographedMaps, SeenPhoto]):
         return {"mean_tilt_degrees": mean_tilt_degrees(answer.maps.normal)}
 
     @override
-    def quality_warnings(self, answer: PhotographedMaps, seen: SeenPhoto) -> list[list[str]]:
+    def quality_warnings(self, answer: PhotographedMaps, seen: Any) -> list[list[str]]:
         """Add, where maps are filled, clauses on parts that clip and on parts beneath a highlight."""
         warnings = super().quality_warnings(answer, seen)
         if not self.fills:
@@ -142,7 +142,7 @@ def compare_photos(radiance: Tensor, photos: Tensor, loss_parameters: Params, we
     return (weights * smooth_absolute(log_differences, loss_parameters)).mean(tuple(range(1, log_differences.ndim)))
 
 
-def compare_maps(differences: list[Tensor], loss_parameters: Params) -> Tensor:
+def compare_maps(differences: Sequence[Tensor], loss_parameters: Params) -> Tensor:
     """Return the sum of the means of the differences of maps that :func:`map_differences` returns, [T]."""
     means = [smooth_absolute(difference, loss_parameters).mean((1, 2, 3)) for difference in differences]
     return torch.stack(means).sum(0)

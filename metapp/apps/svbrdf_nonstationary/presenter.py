@@ -1,7 +1,7 @@
 """The presenter of non-stationary svBRDFs: maps, pictures of them under flashes and other lights, and warnings.
 
-One presenter serves fits of maps, of one photograph and of several: it gets maps from methods of the application, and
-knows no network.
+One presenter serves fits of maps, of one photograph and of several: it gets maps and flashes from the decoder, and asks
+the sight what fits saw.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ SHOWN_PX = 256  # longest side of maps that are shown
 @dataclass(frozen=True)
 class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     """The presenter of maps of a flat material: with photographs as the fit sees them, and under other lights.
-
-    Applications that extend :class:`SvbrdfNonstationary` are shown by it, too: it asks them for maps and flashes.
 
     Attributes:
         relief: the factor of slopes of normals in files and pictures; errors are without it.
@@ -104,10 +102,10 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the renderings that errors are of, as displays of gamma 2.2 show them."""
         tasks = stack_tasks(self.app, [task])
-        truth = self.app.find_truth(tasks)
+        truth = self.app.judge.gather(tasks)
         if truth is None:
             return None
-        fitted_maps = self.app.prediction(add_task_axis(theta), self.app.see(tasks))
+        fitted_maps = self.app.prediction(add_task_axis(theta), self.app.sight.gather(tasks))
         log_pictures = (judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(truth.maps)))
         return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in log_pictures))
 
@@ -133,7 +131,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        seen = self.app.see(tasks)
+        seen = self.app.sight.gather(tasks)
         return self.app.sight.quality_warnings(self.app.decoder(theta, seen), seen)
 
     @override

@@ -79,7 +79,7 @@ class SvbrdfStationary(ExemplarApp):
         return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
 
     @override
-    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
+    def change_data(self, tasks: Tasks, changes: PictureChanges) -> dict[str, Tensor]:
         if "truth" not in tasks.data:
             return {}
         channels = changes.channels

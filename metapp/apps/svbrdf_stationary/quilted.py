@@ -71,8 +71,8 @@ class QuiltedSvbrdf(SvbrdfStationary):
         return super().make_targets(exemplars, octave) | {"detail": detail_statistics(exemplars)}
 
     @override
-    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
-        data = super().change_data(tasks, changes, targets)
+    def change_data(self, tasks: Tasks, changes: PictureChanges) -> dict[str, Tensor]:
+        data = super().change_data(tasks, changes)
         if "maps" not in tasks.data:
             return data
         pairs = zip(tasks.data["maps"][tasks.rows], *changes, strict=True)

@@ -1,7 +1,6 @@
 """Parts of feature maps whose statistics are taken: windows, which overlap and fade, and rings about the centre.
 
-The light of a flash is nearly even within a window, and at one distance from the centre. What features mean is not
-known here.
+The light of a flash is nearly even within a window, and at one distance from the centre.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ import torch
 from torch import Generator
 from typing_extensions import override
 
-from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.path_fits import FlowDensity, PathJudge, PathSight
 from metapp.apps.transport.scene_encoder import ScenePictureEncoder
 from metapp.learning.app import ErrorMeasure
@@ -61,11 +60,6 @@ class Transport(ComposedApp):
         "scene": TensorSpec(("L",), "uint8", optional=True),
         "next_event": TensorSpec((1,), "uint8", optional=True),
     }
-
-    @property
-    def network(self) -> Flow:
-        """The flow."""
-        return self.decoder.network
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -1,7 +1,7 @@
 """Measures of fits by the pictures that they guide: at equal paths a pixel, and in equal time with everything counted.
 
 A scene is rendered with a fit as guide, without one, by Mitsuba's path, and by integrators of extensions, all against
-one reference. Which pictures a run shows is not known here.
+one reference.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.composed import Decoder, Judge, Sight
 from metapp.learning.task import Params, Task, Tasks
 
-OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
+OUTER_SAMPLES = 2048  # paths of a training scene that its outer loss sees, at most
 
 # A function of points [T, 4, N] of primary sample space that returns log q(film) and log q(directions | film), [T, N]
 PathDensity = Callable[[Tensor], tuple[Tensor, Tensor]]
@@ -73,10 +73,7 @@ class PathSight(Sight[PathDensity, SeenPaths]):
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> SeenPaths:
-        """Draw `count` of the paths of each task."""
-        samples = tasks.data["samples"]
-        rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
-        return SeenPaths(samples[tasks.rows[:, None], rows], tasks.data["image"][tasks.rows])
+        return draw_paths(tasks, rng, count)
 
     @override
     def loss(self, answer: PathDensity, seen: SeenPaths, loss_parameters: Params) -> Tensor:
@@ -93,15 +90,17 @@ class PathSight(Sight[PathDensity, SeenPaths]):
 class PathJudge(Judge[PathDensity, SeenPaths, HeldOutPaths]):
     """The judge of densities by the likelihood of light paths that are held out."""
 
-    truth_type = sampled_type = HeldOutPaths
+    truth_type, sampled_type = HeldOutPaths, SeenPaths
+    trains_by_sight = True
 
     @override
     def prepare(self, task: Task, decoder: FlowDensity) -> HeldOutPaths | None:
         return HeldOutPaths(task.data["held_out"].float()) if "held_out" in task.data else None
 
     @override
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> None:
-        """Return None: training judges densities by the paths that fits see."""
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> SeenPaths:
+        """Draw at most OUTER_SAMPLES paths of those that fits see: scenes differ more than paths of one scene do."""
+        return draw_paths(tasks, rng, min(count, OUTER_SAMPLES))
 
     @override
     def query(self, answer: PathDensity, truth: HeldOutPaths) -> tuple[Tensor, Tensor]:
@@ -114,7 +113,9 @@ class PathJudge(Judge[PathDensity, SeenPaths, HeldOutPaths]):
         film, directions = prediction
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
 
-    @override
-    def outer_loss(self, answer: PathDensity, seen: SeenPaths, truth: Any) -> Tensor:
-        """Return the loss of the first OUTER_SAMPLES paths, [T]: scenes differ more than samples of one scene do."""
-        return PathSight().loss(answer, seen._replace(samples=seen.samples[:, :OUTER_SAMPLES]), {})
+
+def draw_paths(tasks: Tasks, rng: Generator, count: int) -> SeenPaths:
+    """Draw `count` of the paths of each task that fits see."""
+    samples = tasks.data["samples"]
+    rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
+    return SeenPaths(samples[tasks.rows[:, None], rows], tasks.data["image"][tasks.rows])

@@ -41,7 +41,7 @@ class TransportPresenter(Presenter[Transport]):
         On the film there are the scene's picture and a picture that the fit guides; if there is no scene, the
         densities.
         """
-        network, reference, guided = self.app.network, None, None
+        network, reference, guided = self.app.decoder.network, None, None
         if "scene" in task.data:
             renderer = guided_pictures.renderer_of(task)
             reference = renderer.noisy_reference
@@ -58,7 +58,7 @@ class TransportPresenter(Presenter[Transport]):
             return {}
         renderer, spp = guided_pictures.renderer_of(task), self.app.shown_spp
         timed_pictures = {
-            "guided": renderer.render_guided(self.app.network, theta, spp),
+            "guided": renderer.render_guided(self.app.decoder.network, theta, spp),
             "regular": renderer.render_regular(spp),
         }
         return {name: Picture(timed.picture.permute(1, 2, 0), "radiance") for name, timed in timed_pictures.items()}
@@ -73,7 +73,7 @@ class TransportPresenter(Presenter[Transport]):
             return {}
         app = self.app
         renderer = guided_pictures.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
-        return guided_pictures.picture_errors(renderer, app.network, fits, task)
+        return guided_pictures.picture_errors(renderer, app.decoder.network, fits, task)
 
     @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:

@@ -1,7 +1,6 @@
 """General's encoder of light transport: from a small picture of a scene to the code of its flow and the film's splines.
 
-The picture shows where light arrives on the film; the directions from which it comes have to be guessed. It is read as
-a picture: scenes and paths are not known here.
+The picture shows where light arrives on the film; the directions from which it comes have to be guessed.
 """
 
 from __future__ import annotations
@@ -31,6 +30,8 @@ ENCODER_CHANNELS, ATTENTION_HEADS, RESIDUAL_BLOCKS = 48, 8, 3
 @dataclass(frozen=True)
 class ScenePictureEncoder(Encoder[SeenPaths]):
     """The encoder of pictures of scenes; all flows share the parameters that no picture tells."""
+
+    samples = 0  # it reads no paths
 
     @override
     def init(self, rng: Generator, decoder: FlowDensity) -> Params:

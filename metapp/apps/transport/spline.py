@@ -2,8 +2,7 @@
 
 A spline of K bins is described by 3 K + 1 numbers: logits of the bins' widths and of their masses, and terms that are
 added to the log of the density at each knot. Where 0 is added, that log is the mean of both neighbouring bins' log
-densities, so that one number moves one bin and the density stays smooth about it. All zeros make the identity. What
-the coordinates of a spline mean is not known here.
+densities, so that one number moves one bin and the density stays smooth about it. All zeros make the identity.
 """
 
 from __future__ import annotations

@@ -8,10 +8,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight
 from metapp.extensions.onnx_files.models import ONNX_OPSET, require_packages
 from metapp.extensions.onnx_files.onnx_page import MODEL_SIDES_PX, RUNTIME_VERSION, provide_runtime, write_page_folder
-from metapp.extensions.onnx_files.photographs import MODEL_SIDE_STEP_PX, VGG_CREDIT, encode_photo_model
+from metapp.extensions.onnx_files.photographs import (
+    MODEL_SIDE_STEP_PX,
+    VGG_CREDIT,
+    decoder_of,
+    encode_photo_model,
+)
 from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose
 from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
@@ -54,15 +58,15 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
             )
     choice = choose(options)
     app, checkpoint = choice.app, find_checkpoint(choice)
-    if not (isinstance(app, SvbrdfNonstationary) and isinstance(app.sight, PhotoSight)):
-        raise ValueError(
-            f"{path}: General of several photos, expected General of one photo; export the maps of its fits instead."
-        )
+    assert isinstance(app, SvbrdfNonstationary)
+    try:
+        side = decoder_of(app).network.height
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.recorded_conditions()):
         metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
     model, any_size = encode_photo_model(app, checkpoint.phi.encoder, metadata)
-    side = app.decoder.network.height
     if kind == PAGE_KIND:
         write_page_folder(
             folder, model, runtime_files, MODEL_SIDES_PX if any_size else (side,), features=reads_features

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
 from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
@@ -28,6 +29,19 @@ PHOTO_MODEL_DESCRIPTION = {
 VGG_CREDIT = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geometry Group under CC BY 4.0"
 
 
+def decoder_of(app: SvbrdfNonstationary) -> FieldMaps:
+    """Return the decoder of an application whose maps a field makes.
+
+    Raises:
+        ValueError: the parameters of its fits are maps of texels.
+    """
+    if not isinstance(app.decoder, FieldMaps):
+        raise ValueError(
+            "General of several photos, expected General of one photo; export the maps of its fits instead."
+        )
+    return app.decoder
+
+
 class MaterialModule(torch.nn.Module):
     """General as a module to trace: MODEL_OUTPUTS, the maps of a material, from a photograph [1, 3, H, W].
 
@@ -38,7 +52,7 @@ class MaterialModule(torch.nn.Module):
 
     def __init__(self, app: SvbrdfNonstationary, encoder: Params) -> None:
         super().__init__()
-        self.app = app
+        self.app, self.decoder = app, decoder_of(app)
         self.names = {name.replace(".", "-"): name for name in encoder}
         weights = {key: encoder[name].float() for key, name in self.names.items()}
         self.encoder = torch.nn.ParameterDict(weights)
@@ -48,7 +62,7 @@ class MaterialModule(torch.nn.Module):
         linear = srgb_to_linear(photo)
         seen = SeenPhoto(linear, linear.new_zeros(1, 1))
         encoder = {name: self.encoder[key] for key, name in self.names.items()}
-        decoder = self.app.decoder
+        decoder = self.decoder
         theta = self.app.encode(encoder, self.app.encoder.select_input(seen))
         code = decoder.network.gain * theta["z"]  # one in each pixel
         maps = decoder.finish_maps(decoder.network.evaluate(theta, code, seen.inputs))
@@ -81,7 +95,7 @@ def encode_photo_model(app: SvbrdfNonstationary, encoder: Params, about: dict[st
     Raises:
         ValueError: onnx or onnxscript is not installed.
     """
-    model, side = MaterialModule(app, encoder), app.decoder.network.height
+    model, side = MaterialModule(app, encoder), decoder_of(app).network.height
     any_size = model.reads_any_size()
     # the example has two different sides, so that the trace does not take height and width for one number
     shape = (side, side - 8 * MODEL_SIDE_STEP_PX) if any_size else (side, side)

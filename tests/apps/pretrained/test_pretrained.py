@@ -207,7 +207,7 @@ def test_training_sees_raw_maps_and_fits_see_processed_ones(
 ) -> None:
     """Training on processed maps would undo the processing."""
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
-    seen = app.see(tasks)
+    seen = app.sight.gather(tasks)
     raw = app.decoder.network(theta, pixel_inputs(seen.photo))
     for maps, expected in (
         (app.decoder.decode_for_training(theta, seen).maps, decode_maps(raw)),
@@ -227,7 +227,7 @@ def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
     batch, code_channels = app.sample(tasks, rng, 1), app.decoder.network.code
     loss = app.loss(theta, batch, {})
-    maps, flash = app.decoder.make_maps(theta, batch["photo"]), app.decoder(theta, app.see(tasks)).flash
+    maps, flash = app.decoder.make_maps(theta, batch["photo"]), app.decoder(theta, app.sight.gather(tasks)).flash
     radiance = render_photo(maps, flash)
     whole = compare_photos(radiance, batch["photo"], {}, trust_texels(maps, radiance, flash))
     torch.testing.assert_close(loss, whole)

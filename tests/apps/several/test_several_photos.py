@@ -102,7 +102,7 @@ def test_exposures_of_photographs_are_solved() -> None:
 
 
 def test_the_order_of_photographs_does_not_matter(app: SvbrdfNonstationary, tasks: Tasks) -> None:
-    seen, encoder = app.see(tasks), app.init_encoder(Generator().manual_seed(0))
+    seen, encoder = app.sight.gather(tasks), app.init_encoder(Generator().manual_seed(0))
     one = app.encode(encoder, app.encoder.select_input(seen))
     loss = app.loss(one, seen._asdict(), {})
     for order in map(list, itertools.permutations(range(COUNT))):
@@ -213,7 +213,7 @@ def test_highlights_are_doubted_that_clip_in_all_photographs(app: SvbrdfNonstati
     presenter = presenter_of(app)
     assert not any("clipped" in line for lines in presenter.quality_warnings(theta, stacked) for line in lines)
     maps = app.decoder.make_maps(theta, photos[:, 0])
-    assert all(map(torch.equal, app.prediction(theta, app.see(stacked)), maps))
+    assert all(map(torch.equal, app.prediction(theta, app.sight.gather(stacked)), maps))
     photos[1, :, :, 4:8, 4:8] = 1
     none, clipped = presenter.quality_warnings(theta, stacked)
     (clause,) = [line for line in clipped if "clipped" in line]

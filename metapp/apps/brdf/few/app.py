@@ -82,7 +82,7 @@ class FewSamples(Brdf):
 
         See :func:`metapp.apps.brdf.few.design.expected_errors`.
         """
-        samples, errors = self.sight.sample(tasks, Generator(), MAX_FEW_SAMPLES), []
+        samples, errors = self.sight.sample(tasks, Generator(tasks.rows.device), MAX_FEW_SAMPLES), []
         for i, count in enumerate(samples.distinct.tolist()):
             material = {key: value[i : i + 1] for key, value in theta.items()}
             where, target = (values[i : i + 1, :, : int(count)] for values in (samples.where, samples.target))

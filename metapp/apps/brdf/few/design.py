@@ -2,7 +2,7 @@
 
 The model's covariance after samples depends on their colours through their brightness alone, so that directions can be
 chosen before anything is measured: one after the other, each where the expected error of all directions falls most
-(A-optimal design), and then all together by the gradient of that error. Files and instruments are not known here.
+(A-optimal design), and then all together by the gradient of that error.
 """
 
 from __future__ import annotations

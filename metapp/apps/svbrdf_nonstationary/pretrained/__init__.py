@@ -2,7 +2,8 @@
 
 `encoder` has General: a small decoder over features of VGG-16, an overview of the patch, from which gloss is read, and
 the maps of General by the recipe `full`, whose flash it takes over; train it anew where that one is. `polish` reads the
-roughness of polished surfaces off a sharp highlight. `app` has fits, whose maps are the mean of the fields of both
-networks and whose steps change the code of `full` and the flash alone, so that normals stay General's;
-`augmentation` draws photographs of patches to train it; `recipe` has the recipe.
+roughness of polished surfaces off a sharp highlight. `mean_field` has the decoder of maps, the mean of the fields of
+both networks; steps change the code of `full` and the flash alone, so that normals stay General's. `feature_sight` has
+the loss, in which texels beneath highlights count less, and removes `scars`; `feature_judge` has the outer loss;
+`augmentation` draws photographs of patches to train by; `recipe` has the recipe.
 """

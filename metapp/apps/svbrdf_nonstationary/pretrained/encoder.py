@@ -30,6 +30,7 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     apply_pointwise,
     upsample,
 )
+from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
 from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
@@ -66,7 +67,8 @@ OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
 GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
 LOG_FLOOR = 0.01  # reflectance that is added before logs
 FULL_APP = cast("SvbrdfNonstationary", PHOTO_RECIPES[FULL_RECIPE_NAME].app)
-FULL_FIELD: LocalField = FULL_APP.decoder.network
+FULL_DECODER = cast("FieldMaps", FULL_APP.decoder)
+FULL_FIELD = FULL_DECODER.network
 PATCH_KEYS = ("overview", "highlight", "guess", "code", "flash")  # what `describe_patch` returns
 DECODER_PREFIX = "decoder."  # of names of General's parameters that tasks share
 FULL_PREFIX = "full."  # of names of the parameters of the field of the recipe "full"
@@ -93,13 +95,14 @@ class FeatureEncoder(Encoder[Any]):
         """Select the photograph, and describe it.
 
         Returns:
-            `photo` and `inputs`; the `height` of the camera; `whole` [T, 1, 1, 1], 1 for photographs of the whole
-            patch and 0 for windows; and what :func:`describe_patch` returns for the whole patch.
+            `photo` and `inputs`; `camera_height`; `shows_final_slopes` [T, 1, 1, 1], 1 for photographs of fits and 0
+            for those that training sees; and what :func:`describe_patch` returns for the whole patch.
         """
-        is_whole = isinstance(seen, SeenPhoto)
-        patch = describe_patch(seen.photo) if is_whole else {key: getattr(seen, key) for key in PATCH_KEYS}
-        whole = seen.photo.new_full((len(seen.photo), 1, 1, 1), float(is_whole))
-        return {"photo": seen.photo, "inputs": seen.inputs, "height": seen.camera, "whole": whole} | patch
+        is_of_fit = isinstance(seen, SeenPhoto)
+        patch = describe_patch(seen.photo) if is_of_fit else {key: getattr(seen, key) for key in PATCH_KEYS}
+        final = seen.photo.new_full((len(seen.photo), 1, 1, 1), float(is_of_fit))
+        photo = {"photo": seen.photo, "inputs": seen.inputs, "camera_height": seen.camera_height}
+        return photo | {"shows_final_slopes": final} | patch
 
     @override
     def __call__(self, encoder: Params, encoder_input: Batch, decoder: Any) -> Params:
@@ -115,10 +118,11 @@ class FeatureEncoder(Encoder[Any]):
         network = decoder.network
         theta = add_decoder(read | {key: read[key] / network.gain for key in ("z", "flash")}, encoder | full_decoder)
         raw = network.evaluate(theta, network.gain * theta["z"], inputs)
+        maps, finished = decode_maps(raw), decoder.finish_maps(raw)
         # training sees slopes as the network makes them
-        normal = torch.where(encoder_input["whole"] > 0, decoder.finish_maps(raw).normal, decode_maps(raw).normal)
-        maps = decode_maps(raw)._replace(normal=normal)
-        return _apply_polish(theta, maps, encoder_input["height"], 1 - FULL_SHARE)
+        is_final = encoder_input["shows_final_slopes"] > 0
+        maps = maps._replace(normal=torch.where(is_final, finished.normal, maps.normal))
+        return _apply_polish(theta, maps, encoder_input["camera_height"], 1 - FULL_SHARE)
 
 
 def init_decoder(rng: Generator, code: int) -> Params:
@@ -210,7 +214,7 @@ def describe_patch(photos: Tensor) -> Params:
     network = FULL_FIELD
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
     theta = FULL_APP.encode(full_encoder(photos.device), {"photo": small})
-    maps = FULL_APP.decoder.make_maps(theta, small)
+    maps = FULL_DECODER.make_maps(theta, small)
     log_reflectances = [
         (reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,57 +11,21 @@ from typing_extensions import override
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.field_judge import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT
 from metapp.apps.svbrdf_nonstationary.flashes import render_photo
-from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge, blots, radiance_difference
+from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, blots, radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import map_differences
 from metapp.apps.svbrdf_nonstationary.photo_sight import compare_photos
-from metapp.apps.svbrdf_nonstationary.pretrained.encoder import PARTS, laplace_scales, negative_log_likelihood
+from metapp.apps.svbrdf_nonstationary.pretrained.encoder import laplace_scales, negative_log_likelihood
 from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import UncertainMaps
-from metapp.learning.task import Task
 
 PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # weights of the differences of maps, in the order of PARTS
 LIKELIHOOD_WEIGHT = 0.03  # weight in the outer loss of the likelihood of predicted errors, which moves these alone
 
 
-class WeighedMaps(NamedTuple):
-    """True maps, of which some may be made up.
-
-    Attributes:
-        maps: packed maps [T, 10, H, W].
-        map_weights: the weights of the maps in losses, [T, 4], in the order of PARTS: 0 where a map is made up.
-    """
-
-    maps: Tensor
-    map_weights: Tensor
-
-
-class LitWeighedMaps(NamedTuple):
-    """True maps, of which some may be made up, and random lights under which pictures of them are compared.
-
-    Attributes:
-        maps, map_weights: see :class:`WeighedMaps`.
-        pairs: positions of lights and viewers in half sides of the patch, [T, V, 2, 3].
-    """
-
-    maps: Tensor
-    map_weights: Tensor
-    pairs: Tensor
-
-
 class FeatureJudge(MapJudge):
     """The judge of maps of one photograph by two fields."""
 
-    truth_type = WeighedMaps
-    sampled_type = LitWeighedMaps
-
     @override
-    def prepare(self, task: Task, decoder: Any) -> WeighedMaps | None:
-        """Add the weights of the losses of maps: those that the task states, else ones."""
-        truth = super().prepare(task, decoder)
-        weights = task.data.get("map_weights", torch.ones(len(PARTS))).float()
-        return None if truth is None else WeighedMaps(truth.maps, weights)
-
-    @override
-    def outer_loss(self, answer: UncertainMaps, seen: Any, truth: LitWeighedMaps) -> Tensor:
+    def outer_loss(self, answer: UncertainMaps, seen: Any, truth: LitMaps) -> Tensor:
         """Return the difference of the maps and of their radiance under random lights, [T]; made-up maps do not count.
 
         Normals learn from their squared error alone, over the deviation that General predicts. Its minimum is the
@@ -71,10 +35,11 @@ class FeatureJudge(MapJudge):
         positions = seen.inputs[:, -2:]
         differences = map_differences(maps, target)
         scale = laplace_scales(answer.deviation)[:, -1:].detach()
-        squared = differences[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
-        errors = torch.stack([difference.abs().mean((1, 2, 3)) for difference in (*differences[:-1], squared)], 1)
+        squared = differences.normal.square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
+        parts = differences._replace(normal=squared)
+        errors = torch.stack([part.abs().mean((1, 2, 3)) for part in parts], 1)
         map_loss = (errors * map_weights * errors.new_tensor(PART_WEIGHTS)).sum(1)
-        blot_loss = map_weights[:, 0] * blots(differences[0], seen.photo)
+        blot_loss = map_weights[:, 0] * blots(differences.diffuse, seen.photo)
         is_known = map_weights[:, 1:3, None, None, None] > 0  # pictures do not count where maps are made up
         specular = torch.where(is_known[:, 0], maps.specular, target.specular)
         roughness = torch.where(is_known[:, 1], maps.roughness, target.roughness)

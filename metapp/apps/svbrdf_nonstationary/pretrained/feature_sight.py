@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.svbrdf_maps import Maps
+from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto, compare_photos
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
@@ -17,11 +18,11 @@ from metapp.apps.svbrdf_nonstationary.pretrained.scars import hidden_share, remo
 from metapp.learning.task import Params, Tasks
 
 
-class SeenWindow(NamedTuple):
-    """A window of a photographed patch, which training alone sees, and what is known of the whole patch.
+class TrainingPhoto(NamedTuple):
+    """A photograph as training sees it: often a window of a patch, with what is known of the whole patch.
 
     Attributes:
-        photo: the linear photograph of the window, [T, 3, h, w].
+        photo: the linear photograph, [T, 3, h, w].
         inputs: what fields read of each of its pixels, [T, PIXEL_INPUTS, h, w].
         overview, highlight, guess, code, flash: descriptions of the whole patch, see :func:`describe_patch`.
     """
@@ -35,37 +36,40 @@ class SeenWindow(NamedTuple):
     flash: Tensor
 
     @property
-    def camera(self) -> Tensor:
+    def positions(self) -> Tensor:
+        """The positions of the pixels in the patch, [T, 2, h, w]."""
+        return self.inputs[:, -2:]
+
+    @property
+    def camera_height(self) -> Tensor:
         """The heights of cameras, [T, 1]: 0, as they are not known."""
         return self.photo.new_zeros(len(self.photo), 1)
 
 
 @dataclass(frozen=True)
 class FeatureSight(PhotoSight):
-    """The sight of one photograph, or in training of windows of one.
-
-    Beside `maps` a training task may hold `map_weights` [4], weights of the losses of its maps, 0 where a map is made
-    up.
-    """
+    """The sight of one photograph; training sees windows of photographs, too."""
 
     @override
     def seen_type_of(self, tensors: Mapping[str, Tensor]) -> type[Any]:
-        return SeenWindow if tensors.keys() >= set(SeenWindow._fields) else SeenPhoto
+        return TrainingPhoto if tensors.keys() >= set(TrainingPhoto._fields) else SeenPhoto
 
     @override
-    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
-        """Draw windows of half the side of fits' maps of augmented materials, photographed anew."""
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[TrainingPhoto, TrueMaps]:
+        """Draw photographs of half the side of fits' maps, often windows, of augmented materials."""
         fine, map_weights = (tasks.data[key][tasks.rows].float() for key in ("fine", "map_weights"))
-        return draw_variants(fine, map_weights, side // 2, rng)
+        drawn = draw_variants(fine, map_weights, side // 2, rng)
+        truth = TrueMaps(drawn.pop("maps"), drawn.pop("map_weights"))
+        return TrainingPhoto(**drawn), truth
 
     @override
-    def loss(self, answer: PhotographedMaps, seen: SeenPhoto, loss_parameters: Params) -> Tensor:
+    def loss(self, answer: PhotographedMaps, seen: SeenPhoto | TrainingPhoto, loss_parameters: Params) -> Tensor:
         """Return the difference from the photograph, [T]; texels beneath a highlight count less.
 
         See :func:`trust_texels`.
         """
-        radiance = answer.render()
-        weights = trust_texels(answer.maps, radiance, answer.flash)
+        radiance = answer.render(seen.positions)
+        weights = trust_texels(answer.maps, radiance, answer.flash, seen.positions)
         return compare_photos(radiance, seen.photo, loss_parameters, weights)
 
     @override
@@ -75,4 +79,6 @@ class FeatureSight(PhotoSight):
     @override
     def fill(self, answer: PhotographedMaps, photo: Tensor) -> Maps:
         """Remove scars of highlights; see :func:`remove_scars`. Then fill maps where photographs clip."""
+        if not self.fills:
+            return answer.maps
         return super().fill(answer._replace(maps=remove_scars(answer.maps, photo, answer.flash)), photo)

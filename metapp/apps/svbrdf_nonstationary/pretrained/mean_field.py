@@ -107,16 +107,16 @@ class MeanFieldMaps(FieldMaps):
         fixed_theta = {key: value.detach() for key, value in theta.items()}
         first_output, full_output = self.network.evaluate_both(fixed_theta, self.network.gain * theta["z"], seen.inputs)
         maps = self.finish_maps(self.network.mix_outputs(first_output.detach(), full_output))
-        return PhotographedMaps(maps, self.decode_flash_numbers(theta["flash"], seen.camera))
+        return PhotographedMaps(maps, self.decode_flash_numbers(theta["flash"], seen.camera_height))
 
     @override
-    def decode_for_training(self, theta: Params, seen: Any) -> UncertainMaps:  # type: ignore[override]
+    def decode_for_training(self, theta: Params, seen: Any) -> UncertainMaps:
         """Return maps with the slopes that the network makes, for photographs with a code in each pixel.
 
         Training on changed slopes would undo the change.
         """
         maps = decode_maps(self.network.evaluate(theta, self.network.gain * theta["z"], seen.inputs))
-        return UncertainMaps(maps, self.decode_flash_numbers(theta["flash"], seen.camera), theta["deviation"])
+        return UncertainMaps(maps, self.decode_flash_numbers(theta["flash"], seen.camera_height), theta["deviation"])
 
     @override
     def postprocess(self, theta: Params) -> Params:

@@ -30,7 +30,7 @@ MIN_ENERGY_RATIO = 1.5
 
 
 @torch.no_grad()
-def trust_texels(maps: Maps, radiance: Tensor, flash: Flash) -> Tensor:
+def trust_texels(maps: Maps, radiance: Tensor, flash: Flash, positions: Tensor | None = None) -> Tensor:
     """Return how much a photograph tells of each texel, [T, 1, H, W]: 1, and less beneath a highlight.
 
     It is the photograph's typical light over the sum of that light and of the texel's specular lobe.
@@ -39,10 +39,11 @@ def trust_texels(maps: Maps, radiance: Tensor, flash: Flash) -> Tensor:
         maps: the maps of the material, [T, C, H, W].
         radiance: their radiance under the flash, [T, 3, H, W].
         flash: the flash of the photograph.
+        positions: the positions of the texels in the patch, [T, 2, H, W]; None for maps of the whole patch.
     """
     body = maps._replace(diffuse=maps.diffuse * (1 - maps.specular), specular=torch.zeros_like(maps.specular))
     light = radiance.mean(1, keepdim=True)
-    lobe = (light - render_photo(body, flash).mean(1, keepdim=True)).clamp_min(0)
+    lobe = (light - render_photo(body, flash, positions).mean(1, keepdim=True)).clamp_min(0)
     typical_light, typical_lobe = (
         values.flatten(1).median(1).values[:, None, None, None].clamp_min(1e-4) for values in (light, lobe)
     )

@@ -2,8 +2,9 @@
 
 `parallax` finds heights, and moves photographs such that all show each point at one texel; `stereo` has photometric
 stereo in closed form, and `stereo_encoder` General, a network that corrects it, for photographs in any order;
-`flash_gains` finds how bright each flash is; `app` has fits, maps of each texel and the flash of each photograph with
-General's maps as a prior; `newton` the rule `gauss-newton`, `integrability` how its steps keep the slopes of
-neighbouring texels those of one surface; `obstructions` removes what hides the material; `photo_sets` and `handling`
-draw the photographs that training sees; `recipe` has the recipe.
+`flash_gains` finds how bright each flash is; `texel_maps` has the decoder, maps of each texel and the flash of each
+photograph; `photo_set_sight` what fits see, and the loss, with General's maps as a prior; `texel_judge` the outer loss
+that trains General; `newton` the rule `gauss-newton`, `integrability` how its steps keep the slopes of neighbouring
+texels those of one surface; `obstructions` removes what hides the material; `photo_sets` and `handling` draw the
+photographs that training sees; `recipe` has the recipe.
 """

@@ -6,7 +6,6 @@ flash beside the lens.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,14 +21,13 @@ from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warni
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photos
-from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR
+from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    MIN_ROUGHNESS,
     decode_maps,
     decode_photo,
-    pool_maps,
+    encode_roughness,
 )
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_materials
 from metapp.apps.svbrdf_nonstationary.several import stereo
@@ -100,7 +98,7 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
     @override
     def prepare(self, task: Task, decoder: TexelMaps) -> SeenPhotos:
         """Prepare all photographs and places. Raises ValueError if there are not as many of the one as of the other."""
-        photos, places = self.photos(task), self.read_camera(task)
+        photos, places = self.photos(task), self.read_cameras(task)
         if len(places) != len(photos):
             raise ValueError(
                 f"{task.name}: {len(photos)} photos and {len(task.data.get('places', ()))} places, expected as many; "
@@ -112,7 +110,7 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         return SeenPhotos(adaptive_avg_pool2d(linear[0], decoder.size), filled, shows_material, relief, places)
 
     @override
-    def read_camera(self, task: Task) -> Tensor:
+    def read_cameras(self, task: Task) -> Tensor:
         """Return the positions of camera and flash of a task's photographs, [N, 2, 3], in half sides of the patch."""
         return task.data.get("places", camera_position().expand(1, 2, 3)).float()
 
@@ -126,16 +124,15 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         return [f"photo_{number}" for number in range(1, 1 + len(self.photos(task)))]
 
     @override
-    def augment(self, tasks: Tasks, side: int, rng: Generator) -> dict[str, Tensor]:
-        materials, size = draw_materials(tasks, side, rng), (side, side)
+    def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[SeenPhotos, TrueMaps]:
+        materials, truth = draw_materials(tasks, side, rng)
         photos, places = draw_photo_sets(materials, tasks.data["places"].shape[1], rng)
         pairs = zip(photos, places, strict=True)
-        aligned, relief = map(torch.stack, zip(*(_align_photos(*pair, size) for pair in pairs), strict=True))
-        seen = SeenPhotos(aligned[:, 0], aligned, torch.ones_like(aligned[:, :, :1]), relief, places)
-        return seen._asdict() | {"maps": pool_maps(materials, size)}
+        aligned, relief = map(torch.stack, zip(*(_align_photos(*pair, (side, side)) for pair in pairs), strict=True))
+        return SeenPhotos(aligned[:, 0], aligned, torch.ones_like(aligned[:, :, :1]), relief, places), truth
 
     @override
-    def find_parameters(self, tasks: Tasks, decoder: TexelMaps) -> Params:
+    def task_parameters(self, tasks: Tasks, decoder: TexelMaps) -> Params:
         """Return initial maps and flashes, by photometric stereo in closed form.
 
         Stereo finds slopes and diffuse colour, not the roughness. So the whole surface of a task gets one roughness: of
@@ -152,8 +149,8 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         slopes, diffuse, roughness_numbers, specular = reading.maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
-            roughness_number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))  # the inverse of `decode_maps`
-            maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, roughness_number), specular], 1)
+            number = encode_roughness(torch.full_like(roughness_numbers, roughness))
+            maps = torch.cat([slopes, diffuse, number, specular], 1)
             flash = estimate_flashes(decode_maps(maps), photos, seen.places)
             candidates.append({"maps": maps, "flash": flash, "falloff": maps.new_zeros(len(maps), 1)})
             losses.append(self.loss(decoder(candidates[-1], small), small, {}))
@@ -163,8 +160,11 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
 
     @property
     @override
-    def found_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        """The forms of the numbers of N flashes, and of their fall-off, which fits of earlier versions lack."""
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        """The forms of the numbers of N flashes, which the decoder draws for one, and of their fall-off.
+
+        Fits of earlier versions lack the fall-off.
+        """
         return {"flash": TensorSpec((FLASH_NUMBERS, "N")), "falloff": TensorSpec((1,), optional=True)}
 
     @override
@@ -201,7 +201,8 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
-            `smoothing` [T], `prior` [T, 9], `flash` [T], `curl` [T] and `noise` [T]; see :meth:`loss_parameters`.
+            `smoothing` [T], `prior` [T, 9], `flash` [T], `curl` [T] and `noise` [T], the parameters of
+            :meth:`initial_loss_parameters`.
         """
         if loss_parameters:
             return loss_parameters

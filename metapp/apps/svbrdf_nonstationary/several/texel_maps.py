@@ -13,8 +13,8 @@ from typing_extensions import override
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash, decode_flash
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
+from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialDecoder
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import log_radiance
-from metapp.learning.composed import Decoder
 from metapp.learning.task import Params
 
 
@@ -44,12 +44,12 @@ class TexelFit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TexelMaps(Decoder[TexelFit, Any]):
+class TexelMaps(MaterialDecoder[TexelFit, Any]):
     """The decoder of maps that are stored as nine unbounded numbers for each texel.
 
     Parameters are `maps` [T, 9, H, W], the numbers of texels; `flash` [T, FLASH_NUMBERS, N], the numbers of the flashes
-    of N photographs; `falloff` [T, 1]; and `prior` [T, 18, H, W] where General made the initial maps, near which it
-    keeps a fit, and which no step changes. See :class:`TexelFit`.
+    of N photographs, and `falloff` [T, 1], which the sight finds; and, where General made the initial maps, `prior`
+    [T, 18, H, W], near which a fit is kept and which no step changes. See :class:`TexelFit`.
 
     Attributes:
         height, width: the size of the maps in texels.
@@ -59,6 +59,7 @@ class TexelMaps(Decoder[TexelFit, Any]):
     width: int = 256
 
     @property
+    @override
     def size(self) -> tuple[int, int]:
         """The height and width of the maps in texels."""
         return self.height, self.width
@@ -76,21 +77,13 @@ class TexelMaps(Decoder[TexelFit, Any]):
     def __call__(self, theta: Params, seen: Any) -> TexelFit:
         return self._decode(theta, decode_maps(theta["maps"]), seen.places)
 
-    def decode(self, theta: Params, photo: Tensor, camera: Tensor) -> TexelFit:
-        """Return maps at the size of linear photographs [T, 3, h, w]; see :meth:`make_maps`.
-
-        Args:
-            theta: fits [T, ...].
-            photo: one photograph of each task.
-            camera: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
-
-        Raises:
-            ValueError: a fit has not as many flashes as there are positions.
-        """
-        if theta["flash"].shape[2] != camera.shape[1]:
-            counts = f"{theta['flash'].shape[2]} flashes, expected {camera.shape[1]}, one for each photo"
+    @override
+    def decode(self, theta: Params, photo: Tensor, cameras: Tensor) -> TexelFit:
+        """Return maps and flashes; `cameras` are measured positions of camera and flash, [T, N, 2, 3]."""
+        if theta["flash"].shape[2] != cameras.shape[1]:
+            counts = f"{theta['flash'].shape[2]} flashes, expected {cameras.shape[1]}, one for each photo"
             raise ValueError(f"a fit with {counts}; fit anew.")
-        return self._decode(theta, self.make_maps(theta, photo), camera)
+        return self._decode(theta, self.make_maps(theta, photo), cameras)
 
     def _decode(self, theta: Params, maps: Maps, places: Tensor) -> TexelFit:
         """Return the answer of fits [T, ...] with maps of any size."""

@@ -64,7 +64,7 @@ def make_illumination_view(
     }
     pictures = {}
     if (photo := app.sight.show_photo(task)) is not None:
-        seen = app.see(stack_tasks(app, [task]))
+        seen = app.sight.gather(stack_tasks(app, [task]))
         pictures = {
             "photo": photo.permute(1, 2, 0),
             "ball": _render_ball(app, batched_theta, seen).permute(1, 2, 0),

@@ -84,8 +84,8 @@ def make_transport_view(presenter: Presenter[Transport], theta: Params, task: Ta
     """
     app = presenter.app
     if "scene" in task.data:
-        return make_scene_view(app.network, theta, task)
-    fit = draw_flow_density(app.network, theta)
+        return make_scene_view(app.decoder.network, theta, task)
+    fit = draw_flow_density(app.decoder.network, theta)
     pictures = {"reference": draw_sample_histograms(task.data["samples"]), "fit": fit}
     return make_pictures_view(pictures)._replace(thumbnail=crop_thumbnail(fit[:, : len(fit)]))
 

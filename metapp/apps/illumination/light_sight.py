@@ -1,0 +1,49 @@
+"""The base of the sights of illumination, with what presenters ask of them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, TypeVar
+
+from torch import Tensor
+
+from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.apps.illumination.lighting import Lighting
+from metapp.learning.composed import Sight
+from metapp.learning.task import Task
+
+Seen = TypeVar("Seen")
+
+
+class LightSight(Sight[Lighting, Seen]):
+    """The base of the sights of light. Whatever fits see has `photo`, which General's encoder reads."""
+
+    @abstractmethod
+    def observe(self, maps: Tensor, photos: Tensor) -> Seen:
+        """Return what fits see of maps [T, 3, H, W] of the size of fits, and of spheres under them.
+
+        Args:
+            maps: linear radiance of mean luminance 1.
+            photos: photographs of the spheres, none of them a mirror, uint8 [T, 3, S, S].
+        """
+
+    @abstractmethod
+    def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
+        """Return the map [1, 3, H, W] of a file, of mean luminance 1, at the size of the answer.
+
+        Args:
+            answer: the answer of one fit.
+            task: the task of the fit, which may lack all data.
+        """
+
+    def show_photo(self, task: Task) -> Tensor | None:
+        """Return the photograph of a task that a fit sees, display values [3, S, S]. The default is None."""
+        return None
+
+    def compare_photo(self, answer: Lighting, seen: Any) -> PictureComparison | None:
+        """Return the answer of one fit beside the photograph that it saw. The default is None."""
+        return None
+
+    @abstractmethod
+    def describe_visible(self, task: Task) -> VisibleData:
+        """Return what steps and General's encoder see of a task."""
