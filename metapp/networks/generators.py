@@ -38,11 +38,6 @@ class UNet(NamedTuple):
     outputs: int = 3
 
     @property
-    def reads_quilt(self) -> bool:
-        """False, as a U-Net reads no quilt."""
-        return False
-
-    @property
     def side_step(self) -> int:
         """The number of px of which sides of pictures are multiples, so that all levels have whole sides."""
         result: int = 2 ** (self.levels - 1)
@@ -128,11 +123,6 @@ class Pyramid(NamedTuple):
     outputs: int = 3
     finest: int = 0
     quilt: int = 0
-
-    @property
-    def reads_quilt(self) -> bool:
-        """Whether it reads a quilt beside noise."""
-        return self.quilt > 0
 
     @property
     def side_step(self) -> int:

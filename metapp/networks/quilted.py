@@ -55,11 +55,6 @@ class LightGrid(NamedTuple):
         return 1
 
     @property
-    def reads_quilt(self) -> bool:
-        """True: what it changes is a quilt."""
-        return True
-
-    @property
     def periodic(self) -> bool:
         """True: the grid continues at the opposite edge."""
         return True

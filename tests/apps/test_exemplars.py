@@ -12,11 +12,10 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw, move_tiles
-from metapp.apps.exemplar.exemplar_statistics import SOFTNESS_WEIGHT
+from metapp.apps.exemplar.app import ExemplarApp, draw_noise, move_tiles
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
-from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
+from metapp.apps.svbrdf_stationary.quilted import SOFTNESS_WEIGHT, QuiltedSvbrdf
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
@@ -148,22 +147,20 @@ def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
         torch.testing.assert_close(first, other)
 
 
-def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, tasks: Tasks) -> None:
+def test_softness_counts_at_the_finest_octave_by_exemplar(app: QuiltedSvbrdf, tasks: Tasks) -> None:
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
     exemplars = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
-    torch.testing.assert_close(app.statistics.softness_loss(exemplars[:, None], batch), torch.zeros(3))
+    torch.testing.assert_close(app.measure_softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
     ratio = (detail_statistics(exemplars) + NOISE_DISPLAY_VALUE) / (
         detail_statistics(exemplars) / 2 + NOISE_DISPLAY_VALUE
     )
-    torch.testing.assert_close(
-        app.statistics.softness_loss(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2))
-    )
+    torch.testing.assert_close(app.measure_softness(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2)))
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
-    assert (app.statistics.softness_loss(mixed, batch) > 0.05).tolist() == [False, True, False]
+    assert (app.measure_softness(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.coarsen(tasks, 0.0), Generator().manual_seed(0), 1)
-    assert app.statistics.softness_loss(half[:, None], coarse).tolist() == [0, 0, 0]
+    assert app.measure_softness(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
 def test_coarsened_tasks_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
@@ -280,7 +277,7 @@ def test_generated_pictures_follow_their_quilt(app: ExemplarApp, pavement: Tasks
     noise = draw_noise(app, rng, 2, 1)
     theta = app.init(rng, 2) | app.task_parameters(pavement)
     other = theta | {"quilt": theta["quilt"].flip(0)}
-    assert not torch.equal(generate_raw(app, theta, noise), generate_raw(app, other, noise))
+    assert not torch.equal(*(app.generate(fit, noise).roughness for fit in (theta, other)))
     quilts = move_tiles(theta["quilt"], noise)
     assert quilt_deviation(quilts, quilts).abs().max() == 0
     assert quilt_deviation(torch.full_like(quilts, 0.5), quilts)[0] > 0.05

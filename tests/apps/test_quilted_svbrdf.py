@@ -227,7 +227,7 @@ def test_augmented_tasks_have_quilts_and_maps_of_their_own(tasks: Tasks) -> None
     assert variant.data["maps"].shape == tasks.data["maps"].shape
     assert not torch.equal(variant.data["quilt"], tasks.data["quilt"])
     changes = PictureChanges(torch.tensor([True]), torch.tensor([False]), torch.tensor([[0, 1, 2]]))
-    flipped = APP.change_data(tasks, changes, {})["maps"]
+    flipped = APP.change_data(tasks, changes)["maps"]
     torch.testing.assert_close(flipped[0, 3:], tasks.data["maps"][0, 3:].flip(-1))
 
 

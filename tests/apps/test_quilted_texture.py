@@ -190,7 +190,7 @@ def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: 
     assert say(unordered, twice) == ["repeats 32% of itself (a photo of more of the material helps)"]
     assert say(unordered, own) == []
     assert not any("repeats" in clause for clause in say(ordered, twice))
-    remarks = presenter.remarks({"places": twice}, task)
+    remarks = presenter.remarks({"places": twice, "quilt": torch.zeros(3, 64, 64)}, task)
     assert remarks["repeated"] == pytest.approx(30 * 44 / 64**2)
 
 

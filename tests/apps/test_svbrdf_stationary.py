@@ -333,7 +333,7 @@ def test_true_maps_are_permuted_with_their_channels(sources: list[Task]) -> None
     tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
     unturned = torch.tensor([False])
     changes = PictureChanges(unturned, unturned, torch.tensor([[2, 0, 1]]))
-    found = TINY.change_data(tasks, changes, {})["truth"][0]
+    found = TINY.change_data(tasks, changes)["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it

@@ -7,9 +7,7 @@ exemplar by a subclass of :class:`metapp.apps.exemplar.exemplar_statistics.Stati
 from __future__ import annotations
 
 import math
-import warnings
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -19,22 +17,16 @@ from torch.nn.functional import avg_pool2d, leaky_relu
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions
-from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import choose_quilt, quilt_again
 from metapp.learning.app import App
 from metapp.learning.random_tensors import draw_normal, draw_uniform
-from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder
-from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.quilted import fetch_pieces, move_periodically, normalise_quilts
+from metapp.networks.quilted import move_periodically
 
 HIDDEN_UNITS = 128  # units of each hidden layer of General's encoder
 ENCODER_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of General's encoder
-WARM_UP_CANDIDATES = 2  # quilts of a fit that is thrown away: from two on they are compared
-LARGEST_PHOTO_PX = 4096  # side at which photographs are read, of which pieces are fetched
-QUILT_KEYS = ("places", "quilt")  # parameters of fits that the exemplar determines and no step changes
 MOVING_CHANNELS = 2  # channels of noise, at least: two numbers of it say how far down and right tiles are moved
 JUDGED_PICTURES = 4  # pictures of each task whose mean error is reported
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
@@ -48,44 +40,37 @@ class ExemplarApp(App):
     General's encoder is a network from a summary of the photograph's features to the generator's code z; the
     generator's other parameters are then equal for all tasks.
 
-    A network may read a quilt of the exemplar. Fits then have two parameters that the exemplar determines: `places`
-    [T, 2, rows, columns], where in it each cell of the quilt comes from, and `quilt` [T, 3, H, W], its picture.
-
     Attributes:
         network: the generator.
         octaves: the sizes at which pictures are compared with the exemplar.
-        candidates: the number of quilts of which a fit begins with the best one; with 0, tasks have what errors read
-            alone, for methods that read no quilt.
     """
 
-    network: UNet | Pyramid = field()
+    network: Any = field()
     octaves: Octaves = field()
-    candidates: int = 12
 
     @property
     @abstractmethod
     def statistics(self) -> Statistics:
         """The statistics that describe exemplars, and the distance of pictures from them."""
 
-    @property
-    @override
-    def read_size(self) -> int:
-        """LARGEST_PHOTO_PX for networks that read quilts, whose pieces are fetched of the photographs."""
-        return LARGEST_PHOTO_PX if self.network.reads_quilt else 0
+    def without_quilts(self) -> ExemplarApp:
+        """Return the application for methods that read no quilts: tasks are prepared without any."""
+        return self
 
-    @override
-    def warm_up_app(self) -> ExemplarApp:
-        return replace(self, candidates=min(self.candidates, WARM_UP_CANDIDATES))
+    def find_quilts(self, theta: Params) -> Quilts | None:
+        """Return the quilts of fits, or of one fit without a task axis; None if the network reads none."""
+        return None
+
+    @property
+    def file_side_step(self) -> int:
+        """The number of px of which sides of files are multiples."""
+        step: int = self.network.side_step
+        return step
 
     def file_size(self, size: tuple[int, int] | None) -> tuple[int, int]:
         """Return the height and width of files, in px: as asked for, else FILE_SIDE_TIMES the exemplar's."""
         height, width = self.octaves.octave_size()
         return size or (FILE_SIDE_TIMES * height, FILE_SIDE_TIMES * width)
-
-    @property
-    def cells(self) -> tuple[int, int]:
-        """The rows and columns of cells of a quilt: the px of exemplars in training."""
-        return self.octaves.octave_size()
 
     @override
     def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
@@ -109,89 +94,18 @@ class ExemplarApp(App):
         return {"image": image} | {key: value[0] for key, value in self.make_targets(exemplar).items()}
 
     def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Return all that fits compare pictures with, by name, [B, ...] each.
-
-        These are the statistics of exemplars and, if the network reads a quilt, `places` and `quilt`.
+        """Return what fits and General's encoder read of exemplars, by name, [B, ...] each: their statistics.
 
         Args:
             exemplars: display values [B, 3, H, W] of the size of an octave.
             octave: the octave, 0 for the whole size.
         """
-        targets = self.statistics.describe(exemplars, octave)
-        if not (self.network.reads_quilt and self.candidates):
-            return targets
-        unshaded = self.statistics.even_light(exemplars, targets)
-        avoided_px = self.statistics.find_unusable(exemplars, targets)
-        quilts = [
-            choose_quilt(
-                picture, remove_quadratic_trend(picture), self.cells, self.statistics, self.candidates, avoided
-            )
-            for picture, avoided in zip(unshaded, avoided_px, strict=True)
-        ]
-        parts = (torch.stack(tensors) for tensors in zip(*quilts, strict=True))
-        return targets | dict(zip(QUILT_KEYS, parts, strict=True))
-
-    def take_even_photo(self, image: Tensor) -> Tensor:
-        """Return a photograph as floats [3, S, S], display values in [0, 1], in even light; here as it is.
-
-        Args:
-            image: the photograph, uint8 [3, S, S].
-        """
-        return image.float() / 255
-
-    def fetch_quilt(self, theta: Params, task: Task, subject: str) -> Tensor:
-        """Fetch the quilt of a fit from its photograph, at the photograph's resolution.
-
-        Args:
-            theta: a fit, with a task axis of length 1.
-            task: the task that was fitted. If it holds no photograph, the quilt is the one in the fit, and a warning
-                says so.
-            subject: begins the clause of the warning on the size, such as "the maps have".
-
-        Returns:
-            The quilt, display values [1, 3, H, W].
-        """
-        if "image" in task.data:
-            photo = self.take_even_photo(task.data["image"])
-            return fetch_pieces(photo, theta["places"][0], (photo.shape[1], photo.shape[2]), self.cells)[None]
-        quilt = theta["quilt"]
-        warnings.warn(
-            f"{task.name}: its photo is not at hand, expected for the photo's resolution; {subject} "
-            f"{quilt.shape[-1]} px a side. Give the photo, too, or fit it again.",
-            stacklevel=2,
-        )
-        return quilt
-
-    def quilt_tile_again(self, task: Task, layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tensor:
-        """Quilt a tile of another size of a tile, and warn if that cuts the regular structure of the photograph.
-
-        Args:
-            task: the task that was fitted; without a photograph in it there is no warning.
-            layers, colours, size: the arguments of :func:`quilt_again`.
-
-        Returns:
-            [C, *size].
-        """
-        quilted = quilt_again(layers, colours, size)
-        if "image" in task.data:
-            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
-        return quilted.layers
-
-    @override
-    def task_parameters(self, tasks: Tasks) -> Params:
-        """Return the quilts, if the network reads one."""
-        return {key: tasks.data[key][tasks.rows] for key in QUILT_KEYS} if self.network.reads_quilt else {}
-
-    @property
-    @override
-    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        if not self.network.reads_quilt:
-            return {}
-        return {"places": TensorSpec((2, *self.cells)), "quilt": TensorSpec((3, *self.cells))}
+        return self.statistics.describe(exemplars, octave)
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        return self.network.init(rng, count)
+        theta: Params = self.network.init(rng, count)
+        return theta
 
     @abstractmethod
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Any:
@@ -226,7 +140,7 @@ class ExemplarApp(App):
 
     @override
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {"summary": tasks.data["summary"][tasks.rows]} | self.task_parameters(tasks)
+        return tasks.gather(("summary",))
 
     @override
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
@@ -234,7 +148,11 @@ class ExemplarApp(App):
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, ENCODER_LEAKY_SLOPE) if layer < 3 else x
-        return add_decoder({"z": x} | {key: encoder_input[key] for key in QUILT_KEYS if key in encoder_input}, encoder)
+        return add_decoder({"z": x} | self.select_known(encoder_input), encoder)
+
+    def select_known(self, encoder_input: Batch) -> Params:
+        """Select the parameters of fits that the encoder's input holds. The default is none."""
+        return {}
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """Crop an image [3, S, S] at random to [3, s, s] that could have been photographed as well; here not at all."""
@@ -242,7 +160,7 @@ class ExemplarApp(App):
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Crop, flip and transpose the exemplars and permute their channels, at random; each one is quilted once."""
+        """Crop, flip and transpose the exemplars and permute their channels, at random."""
         count, octave = len(tasks), self.octaves.find_octave(tasks.data)
         is_flipped, is_transposed = draw_uniform(rng, 2, count) < 0.5
         exemplars = []
@@ -252,9 +170,13 @@ class ExemplarApp(App):
         channels = draw_uniform(rng, count, 3).argsort(1)
         images = torch.cat(exemplars)
         images = images.gather(1, channels[..., None, None].expand(images.shape))
-        targets = replace(self, candidates=1).make_targets(images, octave)
+        targets = self.make_variant_targets(images, octave)
         changes = PictureChanges(is_flipped, is_transposed, channels)
         return tasks.make_variants(targets | self.change_data(tasks, changes))
+
+    def make_variant_targets(self, exemplars: Tensor, octave: int) -> dict[str, Tensor]:
+        """Return the targets of augmented exemplars; see :meth:`make_targets`."""
+        return self.make_targets(exemplars, octave)
 
     def change_data(self, tasks: Tasks, changes: PictureChanges) -> dict[str, Tensor]:
         """Return further data of exemplars whose pictures are changed at random. The default is none.
@@ -264,6 +186,18 @@ class ExemplarApp(App):
             changes: how their pictures are changed.
         """
         return {}
+
+
+class Quilts(NamedTuple):
+    """Quilts of exemplars, with a task axis or without.
+
+    Attributes:
+        quilt: the pictures of quilts, display values [T, 3, H, W].
+        places: where in the exemplar each cell of a quilt comes from, [T, 2, rows, columns].
+    """
+
+    quilt: Tensor
+    places: Tensor
 
 
 class PictureChanges(NamedTuple):
@@ -293,7 +227,8 @@ def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octa
 
 def noise_channels(app: ExemplarApp) -> int:
     """Return the number of channels of noise: the network's, but at least MOVING_CHANNELS."""
-    return max(app.network.noise, MOVING_CHANNELS)
+    channels: int = max(app.network.noise, MOVING_CHANNELS)
+    return channels
 
 
 def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
@@ -331,22 +266,3 @@ def move_tiles(tiles: Tensor, noise: Tensor) -> Tensor:
     times = tiles.shape[-1] // noise.shape[-1]
     small_tiles = avg_pool2d(tiles, times) if times > 1 else tiles
     return move_periodically(small_tiles, shares)
-
-
-def generate_raw(app: ExemplarApp, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-    """Generate the network's output [T, B, outputs, H, W] from noise, before any range is imposed; it tiles.
-
-    Args:
-        app: the application.
-        theta: fits [T, ...], with the `quilt` of each if the network reads one.
-        noise: the noise of B pictures of each task, [T, B, C, H, W].
-        octave: the octave, 0 for the whole size.
-    """
-    network = app.network
-    if not isinstance(network, Pyramid):
-        return network(theta, noise)
-    network = network._replace(finest=octave)
-    if not network.reads_quilt:
-        return network(theta, noise)
-    quilts = move_tiles(theta["quilt"].detach(), noise)
-    return network(theta, noise[:, :, : network.noise], normalise_quilts(quilts))

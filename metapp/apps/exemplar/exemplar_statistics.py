@@ -9,11 +9,9 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from metapp.appearance.features import detail_difference, detail_statistics, moments
+from metapp.appearance.features import moments
 from metapp.apps.exemplar.octaves import Crop, Octaves
 from metapp.learning.task import Batch, Tasks
-
-SOFTNESS_WEIGHT = 0.2  # weight in the loss of the difference of the finest detail from the exemplar's
 
 
 @dataclass(frozen=True)
@@ -67,15 +65,6 @@ class Statistics(ABC):
     def find_unusable(self, pictures: Tensor, described: Batch) -> Sequence[Tensor | None]:
         """Return the px of each picture [B, 3, H, W] that say little of the material, bool [H, W]; here None each."""
         return [None] * len(pictures)
-
-    def softness_loss(self, pictures: Tensor, batch: Batch) -> Tensor:
-        """Return the part of a loss, [T], that keeps the detail of pictures [T, B, 3, H, W] as fine as the exemplars'.
-
-        It is 0 for pictures of coarser octaves, and without `detail` in the batch, as for networks that read no quilt.
-        """
-        if "detail" not in batch or self.octaves.find_octave(batch):
-            return pictures.new_zeros(len(pictures))
-        return SOFTNESS_WEIGHT * detail_difference(detail_statistics(pictures), batch["detail"][:, None]).mean(1)
 
     @abstractmethod
     def errors(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:

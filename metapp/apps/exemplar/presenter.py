@@ -48,7 +48,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
-        step = 1 if self.app.network.reads_quilt else self.app.network.side_step
+        step = self.app.file_side_step
         smallest = max(MIN_FILE_PX, 2 * step)
         is_possible = all(smallest <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
         multiples = f"multiples of {step} from " if step > 1 else ""
@@ -79,8 +79,8 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         The first that holds: the picture is black or uniform, has lost regular structure, breaks lines, shows cuts
         between pieces, or repeats itself. There are clauses only where networks read quilts.
         """
-        app, statistics = self.app, self.app.statistics
-        if not app.network.reads_quilt:
+        app, statistics, quilts = self.app, self.app.statistics, self.app.find_quilts(theta)
+        if quilts is None:
             return super().quality_warnings(theta, tasks)
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
         prediction = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
@@ -90,11 +90,12 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             collapsed_fit_warnings(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)
         ]
         exemplars, evenly_lit = (statistics.even_light(photos, data) for photos in pictures)
-        quilts = theta["quilt"].cpu(), theta["places"].cpu()
-        comparisons = zip(collapse_warnings, exemplars.cpu(), evenly_lit.cpu(), *quilts, strict=True)
+        comparisons = zip(
+            collapse_warnings, exemplars.cpu(), evenly_lit.cpu(), quilts.quilt.cpu(), quilts.places.cpu(), strict=True
+        )
         return [
-            clauses or self._find_lost(exemplar, picture) or self._find_visible_pieces(exemplar, *quilt)
-            for clauses, exemplar, picture, *quilt in comparisons
+            clauses or self._find_lost(exemplar, picture) or self._find_visible_pieces(exemplar, quilt, places)
+            for clauses, exemplar, picture, quilt, places in comparisons
         ]
 
     def _find_lost(self, exemplar: Tensor, picture: Tensor) -> list[str]:
@@ -121,7 +122,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             quilt: the quilt, [3, H, W].
             places: the places of its cells in the exemplar, [2, rows, columns].
         """
-        even, cells = remove_quadratic_trend(exemplar), self.app.cells
+        even, cells = remove_quadratic_trend(exemplar), self.app.octaves.octave_size()
         if (strength := seam_strength(even, quilt, places, cells)) > MAX_SEAM_STRENGTH:
             figure = f"changes across them are {strength:.1f} times as strong as the photo's"
             return [f"shows the cuts between pieces of the photo ({figure}, {self.remedy_for('its structure')})"]
@@ -144,8 +145,9 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         These are `copied`, the share of the picture that is a copy of the photo, but for its light, and `repeated`, the
         largest share that comes back at one shift.
         """
-        if not self.app.network.reads_quilt:
+        quilts = self.app.find_quilts(theta)
+        if quilts is None:
             return super().remarks(theta, task)
-        places, cells = theta["places"].cpu(), self.app.cells
+        places, cells = quilts.places.cpu(), self.app.octaves.octave_size()
         figures = {"copied": copied_share(places, cells), "repeated": repeated_share(places, cells)}
         return {**super().remarks(theta, task), **figures}

@@ -15,22 +15,18 @@ from typing_extensions import override
 
 from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.height_fields import normal_from_height
-from metapp.appearance.highlight import remove_shading
 from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics
 from metapp.apps.exemplar.app import (
     ExemplarApp,
     PictureChanges,
     draw_noise,
     fixed_noise,
-    generate_raw,
-    move_tiles,
     shown_noise,
 )
-from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
+from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.quilted import quilt_deviation
 
 DRAWN_WINDOWS = 3  # windows of the photo that one step compares
 POOLED_WEIGHT = 2.0  # added to the weight of pooled pictures in the outer loss, as they hold the shape of the highlight
@@ -39,7 +35,6 @@ TRUTH_WEIGHT = 3.0  # weight in the outer loss of the difference of the maps' st
 # these are unknown, of their squared deviation from usual ones
 GLOSS_WEIGHT, UNUSUAL_WEIGHT = 0.05, 0.05
 ROUGHNESS_WEIGHT = 0.4  # weight of roughness beside specular, as it varies more between materials
-COLOUR_WEIGHT = 3.0  # weight in the loss of the difference of standard deviations of chroma from the photo's
 RELIEF_WIDTHS = 1 / 32  # height, in widths of the photo, that 1 in the network's output stands for
 
 
@@ -133,7 +128,7 @@ class SvbrdfStationary(ExemplarApp):
         Returns:
             Maps [T, B, ...], and their height [T, B, 1, H, W] in texels.
         """
-        return self.decode_maps(generate_raw(self, theta, noise, octave), self.octaves.octave_size(octave)[1])
+        return self.decode_maps(self.network(theta, noise), self.octaves.octave_size(octave)[1])
 
     def decode_maps(self, raw: Tensor, width: int) -> tuple[Maps, Tensor]:
         """Make maps of the network's output.
@@ -201,16 +196,11 @@ class SvbrdfStationary(ExemplarApp):
 
     def _measure_distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         """Return the parts of the loss without priors, by name, [T] each, of maps that were made of a batch's noise."""
-        pictures = self.statistics.render_prediction(maps, batch)
-        distances = self.statistics.distances(pictures, batch, cropped=True)
-        if self.network.reads_quilt:
-            chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
-            distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
-            evenly_lit = remove_shading(pictures, batch["light"][:, None])
-            quilts = move_tiles(theta["quilt"].detach(), batch["noise"])
-            distances["deviation"] = quilt_deviation(evenly_lit, quilts)
-            distances["softness"] = self.statistics.softness_loss(pictures, batch)
-        return distances
+        return self.compare_pictures(theta, self.statistics.render_prediction(maps, batch), batch)
+
+    def compare_pictures(self, theta: Params, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Return distances of pictures [T, B, 3, H, W] from exemplars under whose light they are, by name, [T] each."""
+        return self.statistics.distances(pictures, batch, cropped=True)
 
     @override
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Maps:

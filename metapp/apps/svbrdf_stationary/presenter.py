@@ -100,7 +100,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Add clauses on clipped highlights and on relief; there are clauses only where networks read quilts."""
         warnings = super().quality_warnings(theta, tasks)
-        if not self.app.network.reads_quilt:
+        if self.app.find_quilts(theta) is None:
             return warnings
         images = tasks.data["image"][tasks.rows].float() / 255
         maps = self.app.generate(theta, fixed_noise(self.app, tasks.rows, 1, seed=SHOWN_SEED))

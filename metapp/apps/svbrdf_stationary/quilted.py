@@ -15,23 +15,27 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate
 from typing_extensions import override
 
 from metapp.appearance.colour import DISPLAY_GAMMA
-from metapp.appearance.features import detail_statistics
+from metapp.appearance.features import detail_difference, detail_statistics
 from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.highlight import remove_shading
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.exemplar.app import (
     PictureChanges,
     fixed_noise,
-    generate_raw,
     move_tiles,
     turn_picture,
 )
+from metapp.apps.exemplar.quilted_app import QuiltedExemplarApp
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.flash_statistics import chroma_deviations
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.generators import Pyramid
-from metapp.networks.quilted import enlarge_grid, fetch_pieces, normalise_quilts
+from metapp.networks.quilted import enlarge_grid, fetch_pieces, normalise_quilts, quilt_deviation
 
 DISPLAY_RANGE = (0.02, 0.98)  # display values to which quilts are clamped before logits, which are unbounded
+COLOUR_WEIGHT = 3.0  # weight in the loss of the difference of standard deviations of chroma from the photo's
+SOFTNESS_WEIGHT = 0.2  # weight in the loss of the difference of the finest detail from the exemplar's
 MAP_WEIGHT = 3.0  # weight in the outer loss of the differences from the true maps
 # Weights in that difference of diffuse colour, specular reflectance, roughness, slopes, and squared slopes
 PART_WEIGHTS = (1.0, 1.0, 1.0, 2.0, 8.0)
@@ -45,7 +49,7 @@ LAYER_CHANNELS = (3, 1, 1, 1)
 
 
 @dataclass(frozen=True)
-class QuiltedSvbrdf(SvbrdfStationary):
+class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
     """Stationary svBRDFs whose maps a network makes of a quilt of the flash photograph.
 
     A training task may hold `maps` [10, M, M], the true maps over the photograph at its exposure, packed by
@@ -109,10 +113,31 @@ class QuiltedSvbrdf(SvbrdfStationary):
         ).sum(0)
 
     @override
+    def compare_pictures(self, theta: Params, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Add the distances of colours, and of maps in even light from the quilt, and how soft their detail is."""
+        distances = super().compare_pictures(theta, pictures, batch)
+        chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
+        distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
+        evenly_lit = remove_shading(pictures, batch["light"][:, None])
+        quilts = move_tiles(theta["quilt"].detach(), batch["noise"])
+        distances["deviation"] = quilt_deviation(evenly_lit, quilts)
+        distances["softness"] = self.measure_softness(pictures, batch)
+        return distances
+
+    def measure_softness(self, pictures: Tensor, batch: Batch) -> Tensor:
+        """Return the part of a loss, [T], that keeps the detail of pictures [T, B, 3, H, W] as fine as the exemplars'.
+
+        It is 0 for pictures of coarser octaves.
+        """
+        if self.octaves.find_octave(batch):
+            return pictures.new_zeros(len(pictures))
+        return SOFTNESS_WEIGHT * detail_difference(detail_statistics(pictures), batch["detail"][:, None]).mean(1)
+
+    @override
     def generate_maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
-        raw = remove_slow_changes(generate_raw(self, theta, noise, octave))
-        quilts = move_tiles(theta["quilt"].detach(), noise)
-        return self.decode_maps(_add_quilt(raw, quilts), self.octaves.octave_size(octave)[1])
+        quilts, network = move_tiles(theta["quilt"].detach(), noise), self.network._replace(finest=octave)
+        raw = network(theta, noise[:, :, : network.noise], normalise_quilts(quilts))
+        return self.decode_maps(_add_quilt(remove_slow_changes(raw), quilts), self.octaves.octave_size(octave)[1])
 
     @override
     def take_even_photo(self, image: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw, shown_noise
+from metapp.apps.exemplar.app import ExemplarApp, draw_noise, shown_noise
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.random_tensors import draw_uniform
@@ -73,7 +73,7 @@ class Texture(ExemplarApp):
     @override
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """Generate textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
-        return torch.sigmoid(generate_raw(self, theta, noise, octave))
+        return torch.sigmoid(self.network(theta, noise))
 
     @torch.no_grad()
     def draw_tile(self, theta: Params, task: Task, size: tuple[int, int] | None) -> Tensor:

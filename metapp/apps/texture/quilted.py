@@ -15,6 +15,7 @@ from typing_extensions import override
 
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.app import move_tiles
+from metapp.apps.exemplar.quilted_app import QuiltedExemplarApp
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, colour_moments, subtract_trend
@@ -23,14 +24,19 @@ CHANGE_WEIGHT = 30.0  # weight in the loss of the mean squared change of the qui
 
 
 @dataclass(frozen=True)
-class QuiltedTexture(Texture):
+class QuiltedTexture(QuiltedExemplarApp, Texture):
     """Textures of pieces of a photograph that a network corrects.
 
     Attributes:
         network: the grid of corrections.
     """
 
-    network: LightGrid = field()  # type: ignore[assignment]
+    network: LightGrid = field()
+
+    @property
+    @override
+    def is_periodic(self) -> bool:
+        return self.network.periodic
 
     @override
     def init_encoder(self, rng: Generator) -> Params:

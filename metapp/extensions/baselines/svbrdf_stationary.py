@@ -6,8 +6,6 @@ measure of pictures.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Generator, Tensor
 from typing_extensions import override
@@ -77,7 +75,7 @@ def quilt_maps(
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of flash photographs of stationary materials, which read no quilts of fits."""
     assert isinstance(app, SvbrdfStationary)
-    app = replace(app, candidates=0)
+    app = app.without_quilts()
     return NearestPhoto(app), QuiltedMaterial(app)
 
 

@@ -8,7 +8,6 @@ photograph itself, both methods write files at the scale and resolution of the p
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -42,7 +41,7 @@ COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of textures, which read no quilts of fits."""
     assert isinstance(app, ExemplarApp)
-    app = replace(app, candidates=0)
+    app = app.without_quilts()
     return NearestExemplar(app), Quilting(app), Blending(app)
 
 
