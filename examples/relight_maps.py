@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import radiance_to_display, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 from metapp.appearance import features
 from metapp.appearance.features import vgg_weights_path
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import is_above_horizon
 from metapp.extensions.native import compiler
 from metapp.learning.recipe import Recipe

@@ -42,7 +42,7 @@ def flat_maps(
 
 def texture_surface(size: int = 32) -> Surface:
     """Return a surface that has a base colour alone, and tiles."""
-    return Surface(rock_surface(size).base, True)
+    return Surface(rock_surface(size).colour, True)
 
 
 def read_stored_values(file: Path) -> Tensor:

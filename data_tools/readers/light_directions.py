@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.storage.files import read_text
 from metapp.storage.folders import LIGHT_DIRECTIONS_SUFFIX, list_folder
 

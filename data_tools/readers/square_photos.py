@@ -29,7 +29,7 @@ from data_tools.readers.opened_images import (
 )
 from data_tools.readers.picture_borders import crop_borders
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash_rendering import CAMERA_FOV_RAD
+from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, path_kind

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from data_tools.readers.input_source import PHOTO_COUNT_FACT, REFERENCE_FACT
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.application import Facts
 from metapp.learning.task import Task

@@ -34,7 +34,7 @@ from data_tools.synthetic.nonstationary.wear import (
 from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.stationary.families import split_draws
 from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES
-from metapp.appearance.flash_rendering import camera_distance, camera_position
+from metapp.appearance.flash import camera_distance, camera_position
 from metapp.apps.svbrdf_nonstationary.places import (
     BESIDE_LENS_SHARE,
     FLASH_BRIGHTNESS_LOG_DEVIATION,
@@ -139,7 +139,7 @@ def _draw_further_photos(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> 
 
 
 def draw_flash(rng: Rng) -> tuple[Tensor, float]:
-    """Draw the position [3] and the intensity of the flash; see `metapp.appearance.flash_rendering.render_maps`."""
+    """Draw the position [3] and the intensity of the flash; see `metapp.appearance.flash.render_maps`."""
     deviations = rng.normal(size=4) * (rng.random() >= BESIDE_LENS_SHARE)
     offset, height_factor, brightness = (
         deviations[:2] * FLASH_OFFSET_HALF_SIDES,

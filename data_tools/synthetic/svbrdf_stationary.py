@@ -21,7 +21,7 @@ from data_tools.synthetic.random_values import Split, between, log_between, unif
 from data_tools.synthetic.stationary.families import FAMILIES, split_draws
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.appearance.colour import radiance_to_display
-from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics, pack_maps
 from metapp.learning.task import Task
@@ -57,7 +57,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, *
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
         [3, size, size], sRGB. Training tasks also hold `truth`, float32 [3, 2, 6], and if they are asked for `maps`,
         float16 [10, size, size]; test tasks hold `relit`, uint8 [3, 3, size, size], the material at the photo's
-        exposure under `metapp.appearance.flash_rendering.relighting_positions`.
+        exposure under `metapp.appearance.flash.relighting_positions`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -78,7 +78,7 @@ class FlashShots(NamedTuple):
     Attributes:
         photo: uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white.
         relit: uint8 [3, 3, S, S], at the photo's exposure without noise, under
-            `metapp.appearance.flash_rendering.relighting_positions`.
+            `metapp.appearance.flash.relighting_positions`.
         maps: the maps [C, S, S] that make the photo's picture at exposure 1.
     """
 

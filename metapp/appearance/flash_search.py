@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import DISPLAY_GAMMA
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 
 FARTHEST_FLASH_HALF_SIDES = 0.5  # distance from a photo's centre within which its flash is searched for
 

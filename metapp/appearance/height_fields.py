@@ -16,7 +16,7 @@ LEAST_NORMAL_Z = 0.05  # least z of normals that heights follow: slopes stay bel
 def normal_from_height(height: Tensor, scale: Tensor | float = 1.0, *, periodic: bool = True) -> Tensor:
     """Compute normals [B, 3, H, W], z > 0, of a height field, by Scharr's central differences (2000), nearly isotropic.
 
-    A slope that alternates from texel to texel is lost.
+    A height that alternates from texel to texel gives no slope.
 
     Args:
         height: [B, 1, H, W], in texels, up out of the patch; H and W at least 2.

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d
 
 from metapp.appearance.colour import DISPLAY_GAMMA
-from metapp.appearance.flash_rendering import render_maps, texel_positions
+from metapp.appearance.flash import render_maps, texel_positions
 from metapp.appearance.lattice import even_out_brightness
 from metapp.appearance.svbrdf_maps import Maps
 
@@ -130,7 +130,7 @@ def estimate_gloss(photos: Tensor, light: Tensor) -> Gloss:
         terms[:, :, channel, :, channel] = body[:, None]
     terms[..., 3] = lobes[:, :, None]
     counted_rings = (1 - clipped_rings)[:, None]
-    for _ in range(3):
+    for _ in range(3):  # a clipped ring is a lower bound: it counts only where the fit is darker
         row_weights = (weight[:, None] * counted_rings)[..., None]
         weighted_rows = (terms * row_weights).flatten(2, 3)
         weighted_means = (means[:, None, ..., None] * row_weights).expand(*terms.shape[:-1], 1).flatten(2, 3)

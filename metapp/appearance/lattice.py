@@ -20,6 +20,7 @@ MAX_PEAKS = 40  # number of peaks, highest first, of which bases are made
 VECTOR_LENGTH_COST = 0.0006 * 256  # penalty on a vector's correlation, per side of the picture of its length
 MIN_BASIS_SINE = 0.4  # least sine of the angle between two basis vectors
 MIN_LATTICE_SCORE = 0.15  # least score of an ordered picture
+MIN_REPETITION_SCORE = 0.3  # least score of a picture that repeats itself
 CONTRAST_FACTORS = (0.4, 2.5)  # range of factors by which contrast is evened out
 MIN_CONTRAST = 0.004  # standard deviation of display values up to which a place counts as flat
 MAX_PEAK_SHIFT_PX = 2  # distance along each axis by which a peak may move and still count as kept
@@ -37,6 +38,11 @@ class Lattice(NamedTuple):
     vectors: Tensor
     correlations: Tensor
     score: float
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the texture repeats itself: it is stretched to tile, and equal pieces may come back."""
+        return self.score >= MIN_REPETITION_SCORE
 
 
 def subtract_local_mean(image: Tensor, side: int) -> Tensor:

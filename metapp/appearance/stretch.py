@@ -14,7 +14,6 @@ from torch.nn.functional import affine_grid, grid_sample
 
 from metapp.appearance.lattice import find_lattice
 
-MIN_STRETCH_SCORE = 0.3  # score of a lattice, 0 to 1, from which on a picture is stretched
 MAX_STRETCH = 0.08  # relative change of lengths: a picture is stretched by at most so much
 
 
@@ -51,7 +50,7 @@ def find_stretch(exemplar: Tensor, size: Sequence[int]) -> tuple[Tensor | None, 
     lattice = find_lattice(exemplar)
     vectors = lattice.vectors.clone()
     unstretched = None, vectors[:0]
-    if lattice.score < MIN_STRETCH_SCORE:
+    if not lattice.repeats:
         return unstretched
     texels = torch.tensor(size, dtype=vectors.dtype)
     one_direction = not bool(vectors[1].any())

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display
-from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.pictures import Picture
 from metapp.appearance.svbrdf_maps import Maps
@@ -28,16 +28,16 @@ DESCRIPTION_FILE = "material.json"  # name of the file that describes the files 
 
 
 class Surface(NamedTuple):
-    """A flat surface, texel by texel; row 0 is the upper edge. A texture is a base colour alone.
+    """A flat surface, texel by texel; row 0 is the upper edge. A texture is a colour alone.
 
     Attributes:
-        base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
+        colour: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
         tiles: whether its opposite edges match.
         maps: all maps, without leading axes; None if it is a texture.
         height: [1, H, W] in texels, if the fit has one.
     """
 
-    base: Tensor
+    colour: Tensor
     tiles: bool
     maps: Maps | None = None
     height: Tensor | None = None
@@ -45,7 +45,7 @@ class Surface(NamedTuple):
     @property
     def size(self) -> tuple[int, int]:
         """The height and width in texels."""
-        return self.base.shape[-2], self.base.shape[-1]
+        return self.colour.shape[-2], self.colour.shape[-1]
 
     def heights_in_widths(self) -> Tensor:
         """Return heights [1, H, W] in texture widths, about a mean of 0; if the fit has none, its normals' integral."""
@@ -58,10 +58,10 @@ class Surface(NamedTuple):
     def linear_maps(self) -> dict[str, Tensor]:
         """Return the maps that the fit has, by name, linear: [H, W, 3], or [H, W] for roughness and heights in texels.
 
-        Normals are unit vectors. There are heights if the fit has them.
+        Normals are unit vectors.
         """
         if self.maps is None:
-            return {"basecolor": self.base.movedim(0, -1)}
+            return {"basecolor": self.colour.movedim(0, -1)}
         diffuse, specular, roughness, normal = self.maps
         maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
         maps = {name: tensor.movedim(0, -1) for name, tensor in maps.items()} | {"roughness": roughness[0]}
@@ -93,7 +93,7 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
     Args:
         maps: [C, H, W] each.
         height: [1, H, W] in texels, if a fit has it.
-        falloff: fall-off of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
     """
     pictures = {
         "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
@@ -115,7 +115,7 @@ def photograph_maps(maps: Maps, light: Tensor, view: Tensor, *, falloff: float =
         maps: [C, H, W] each.
         light: position of the flash in half sides of the patch, [3].
         view: position of the camera in half sides of the patch, [3].
-        falloff: fall-off of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
 
     Returns:
         Display values [3, H, W] in [0.002, 1].

@@ -1,6 +1,6 @@
 """The contract of an application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-Learning needs these few methods and nothing else, so that an application runs in a notebook without the command line.
+Learning needs these methods and nothing else, so that an application runs in a notebook without the command line.
 Most applications fulfil the contract by components, see :mod:`metapp.learning.composed`.
 What people look at, such as pictures and surfaces, is made elsewhere, by `metapp.appearance.presenter.Presenter`.
 """
@@ -49,9 +49,9 @@ class ErrorMeasure:
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods are batched over tasks: parameters and batches have a leading task axis T. Every application defines the
-    abstract methods; the other methods have defaults. A recipe holds an application; all sizes are
-    fields of it, so that two applications with equal fields are equal. A subclass with fields of its own is a frozen
+    Methods that take fits or tasks are batched: parameters and batches have a leading task axis T. Every application
+    defines the abstract methods; the other methods have defaults. A recipe holds an application; all sizes are fields
+    of it, so that two applications with equal fields are equal. A subclass with fields of its own is a frozen
     dataclass, too.
 
     What :meth:`prepare` returns of each task is stacked: methods that take `tasks` find a tensor of the T selected

@@ -2,12 +2,12 @@
 
 They answer four questions about the paper's L_theta(x | I). The decoder: what do parameters theta mean? The sight:
 which observations I does a fit see, and how far is an answer from them? The judge: how far is an answer from the truth,
-which fits never see? The encoder: which parameters does General predict? Each can be exchanged by itself: fits of an
-environment map and fits of a photographed ball differ in their sights alone.
+which fits never see? The encoder: which parameters does General predict? Components that agree on the types of answers
+and of what is seen can be exchanged: fits of an environment map and of a photographed ball differ in their sights.
 
 What a sight and a judge prepare of a task are named tuples of tensors without a task axis. Tasks that are fitted
 together stack these tensors, by the names of the fields: all other methods find them with a leading task axis T. Fields
-of a sight and of a judge that have one name are one tensor.
+of a sight and of a judge that have one name are one tensor; the judge's replaces the sight's.
 """
 
 from __future__ import annotations
@@ -183,10 +183,10 @@ class Judge(ABC, Generic[Answer, Seen, Truth]):
         """
         truth = self.gather(tasks)
         if truth is None:
-            missing = " and ".join(sorted(set(self.truth_type._fields) - tasks.data.keys()))
+            missing = next(name for name in self.truth_type._fields if name not in tasks.data)
             raise ValueError(
-                f"{tasks.selected_names[0]}: no {missing} in some training task, expected the truth in all; train on a "
-                "data set that has it."
+                f"{tasks.selected_names[0]}: no {missing} in this or another training task, expected the truth in all; "
+                "train on a data set that has it."
             )
         return truth
 
@@ -291,6 +291,7 @@ class ComposedApp(App):
     @property
     @override
     def encoder_settings(self) -> tuple[object, ...]:
+        # sights may differ: applications share one General, whose outer loss is the judge's
         return self.decoder, self.encoder, self.judge
 
     @override
@@ -338,12 +339,11 @@ class ComposedApp(App):
     @property
     @override
     def has_outer_loss(self) -> bool:
-        is_overridden = type(self).outer_loss is not ComposedApp.outer_loss
-        return is_overridden or not self.judge.trains_by_sight
+        return not self.judge.trains_by_sight
 
     @override
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Draw what the judge compares and, unless that has the form of what fits see, what these see."""
+        """Draw what the judge compares. Unless the judge trains by the sight, draw what a step of a fit sees, too."""
         drawn: Batch = self.judge.sample(tasks, rng, count)._asdict()
         return drawn if self.judge.trains_by_sight else self.sample(tasks, rng, count) | drawn
 

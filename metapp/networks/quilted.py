@@ -50,11 +50,6 @@ class LightGrid(NamedTuple):
     noise: int = 2
 
     @property
-    def side_step(self) -> int:
-        """1: sides of pictures may have any number of px."""
-        return 1
-
-    @property
     def periodic(self) -> bool:
         """True: the grid continues at the opposite edge."""
         return True

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from metapp.appearance.colour import radiance_to_display
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.flash_search import estimate_flash_position
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import radiance_to_display
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.highlight import (
     F0_BOUND_CLAUSE,

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from metapp.appearance.flash_rendering import camera_position
+from metapp.appearance.flash import camera_position
 from metapp.apps.svbrdf_nonstationary.flashes import (
     FLASH_NUMBERS,
     CameraMotion,

@@ -6,7 +6,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.colour import radiance_to_display
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.lattice import even_out_contrast
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
@@ -199,7 +199,7 @@ def test_relief_is_said_to_be_a_guess_unless_it_is_flat(tasks: Tasks) -> None:
 def test_true_maps_are_compared_at_the_places_of_the_quilt(tasks: Tasks) -> None:
     """Fits with the true maps of the pieces have a lower outer loss than fits with those of other pieces."""
     theta, rng = silent_fit(tasks), Generator().manual_seed(0)
-    batch = APP.sample(tasks, rng, 1)
+    batch = APP.outer_sample(tasks, rng, 1)
     true_maps = unpack_maps(batch["maps"][0])
     places = theta["places"][0]
     expected = fetch_pieces(tasks.data["maps"][0], places, (64, 64), APP.cells)

@@ -15,7 +15,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import QuiltedAgain, make_piece_source, order_penalty, quilt_places
+from metapp.apps.exemplar.quilts import ResizedTile, make_piece_source, order_penalty, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.texture import baselines
@@ -227,6 +227,6 @@ def test_tiles_of_another_size_say_whether_they_keep_the_order_of_the_photograph
     shuffled = shuffled.reshape(3, 12, 12, 5, 5).permute(0, 1, 3, 2, 4).reshape(3, 60, 60)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        QuiltedAgain(photo, photo.roll((3, 5), (1, 2)).repeat(1, 1, 2)).warn_of_lost_order(photo, "kept")
+        ResizedTile(photo, photo.roll((3, 5), (1, 2)).repeat(1, 1, 2)).warn_of_lost_order(photo, "kept")
     with pytest.warns(UserWarning, match="lost: cut for --size: keeps 0.* of the photo's regular structure"):
-        QuiltedAgain(photo, shuffled).warn_of_lost_order(photo, "lost")
+        ResizedTile(photo, shuffled).warn_of_lost_order(photo, "lost")

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.appearance.lattice import find_lattice, kept_order_share
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import choose_quilt, make_piece_source, quilt_again, quilt_places
+from metapp.apps.exemplar.quilts import choose_quilt, make_piece_source, quilt_places, resize_tile
 from metapp.apps.texture.app import GramStatistics
 
 SIZE = 128
@@ -56,7 +56,7 @@ def choose(exemplar: Tensor) -> Tensor:
 def test_quilts_of_regular_patterns_repeat_without_a_seam() -> None:
     picture = choose(pattern(17.3, 22.7))
     assert across_edges(picture) < 1.5
-    larger = quilt_again(picture, picture, (SIZE, 2 * SIZE)).layers
+    larger = resize_tile(picture, picture, (SIZE, 2 * SIZE)).layers
     assert larger.shape == (3, SIZE, 2 * SIZE)
     assert across_edges(larger) < 1.5
     assert torch.equal(picture, choose(pattern(17.3, 22.7)))
@@ -79,7 +79,7 @@ def test_quilts_keep_the_order_of_a_checkerboard(side: int, turned: float) -> No
     """
     exemplar = checkers(side, turned)
     lattice, picture = find_lattice(exemplar), choose(exemplar)
-    share, larger = kept_order_share(lattice, picture), quilt_again(picture, picture, (2 * SIZE, 2 * SIZE)).layers
+    share, larger = kept_order_share(lattice, picture), resize_tile(picture, picture, (2 * SIZE, 2 * SIZE)).layers
     assert share > 0.58
     assert kept_order_share(lattice, larger) > 0.9 * share
 

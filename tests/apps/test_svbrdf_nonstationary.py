@@ -10,7 +10,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, no
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash_rendering import camera_distance, texel_positions
+from metapp.appearance.flash import camera_distance, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary

@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, map_statistics
 from metapp.apps.exemplar.app import FILE_SIDE_TIMES, PictureChanges, draw_noise
@@ -300,7 +300,7 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
 
     def loss_of(truth: Tensor) -> Tensor:
         tasks = stack_tasks(app, [Task("known", {"image": image, "truth": truth})])
-        return app.outer_loss(theta, app.sample(tasks, seeded(), 1) | {"noise": noise}, {})
+        return app.outer_loss(theta, app.outer_sample(tasks, seeded(), 1) | {"noise": noise}, {})
 
     unequal = torch.cat([statistics.expand(2, -1, -1) + 0.5, statistics])  # of other sizes than the network's
     others = torch.full((2, 6), 0.1)

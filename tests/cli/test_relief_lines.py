@@ -5,7 +5,7 @@ import re
 import pytest
 import torch
 
-from metapp.appearance.flash_rendering import relighting_positions
+from metapp.appearance.flash import relighting_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.surface import photograph_maps, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees

@@ -63,6 +63,8 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
 @ONE_APP
 def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> None:
     class Judged(Brdf):
+        has_outer_loss = True
+
         def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
             return 0 * self.loss(theta, batch, loss_parameters) + 7
 

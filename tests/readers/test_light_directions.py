@@ -11,7 +11,7 @@ import torch
 
 from data_tools.readers import placed_photos
 from data_tools.readers.light_directions import FAR_HALF_SIDES, find_light_distance, read_lights
-from metapp.appearance.flash_rendering import render_maps, texel_positions
+from metapp.appearance.flash import render_maps, texel_positions
 from tests.apps.several.test_several_photos import relief
 from tests.pictures import noise_image, write_image
 

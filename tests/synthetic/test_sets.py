@@ -24,7 +24,7 @@ from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, map_statistics
 from data_tools.synthetic.svbrdf_stationary import synthetic_tasks as flash_tasks
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.colour import radiance_to_display
-from metapp.appearance.flash_rendering import camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps

@@ -56,9 +56,11 @@ class Brdf(ComposedApp):
     small_tensors = True
 
     def __post_init__(self) -> None:
-        if self.sight is None:  # a network brings the sight that its rules need
-            sight = DistinctSampleSight() if self.decoder.linear_parameter else SampleSight()
-            object.__setattr__(self, "sight", sight)
+        is_linear = bool(self.decoder.linear_parameter)
+        if self.sight is None:  # a network asks for the sight that its rules need
+            object.__setattr__(self, "sight", DistinctSampleSight() if is_linear else SampleSight())
+        if is_linear and not isinstance(self.sight, DistinctSampleSight):
+            raise ValueError(f"brdf: {type(self.sight).__name__}, expected a DistinctSampleSight for this network.")
 
     @property
     def network(self) -> BrdfNetwork:

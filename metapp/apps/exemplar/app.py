@@ -1,7 +1,8 @@
 """The base of applications that generate, from noise, a picture with the visual statistics of an exemplar photograph.
 
-Here are the generator, General's encoder, quilts and data augmentation. An application says what is compared with the
-exemplar by a subclass of :class:`metapp.apps.exemplar.exemplar_statistics.Statistics`.
+Here are General's encoder, noise, data augmentation, and what all fits share; generators are in :mod:`metapp.networks`.
+An application says what is compared with the exemplar by a subclass of
+:class:`metapp.apps.exemplar.exemplar_statistics.Statistics`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from metapp.networks.quilted import move_periodically
 
 HIDDEN_UNITS = 128  # units of each hidden layer of General's encoder
 ENCODER_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of General's encoder
-MOVING_CHANNELS = 2  # channels of noise, at least: two numbers of it say how far down and right tiles are moved
+# Channels of noise, at least, drawn even if the network reads none: the first two numbers of the first channel say how
+# far down and right tiles are moved
+MIN_NOISE_CHANNELS = 2
 JUDGED_PICTURES = 4  # pictures of each task whose mean error is reported
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
 FILE_SIDE_TIMES = 4  # side of a picture in files over its side in training
@@ -226,8 +229,8 @@ def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octa
 
 
 def noise_channels(app: ExemplarApp) -> int:
-    """Return the number of channels of noise: the network's, but at least MOVING_CHANNELS."""
-    channels: int = max(app.network.noise, MOVING_CHANNELS)
+    """Return the number of channels of noise: the network's, but at least MIN_NOISE_CHANNELS."""
+    channels: int = max(app.network.noise, MIN_NOISE_CHANNELS)
     return channels
 
 

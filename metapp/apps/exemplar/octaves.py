@@ -1,7 +1,7 @@
 """Octaves: the sizes at which pictures are compared with an exemplar, and the features that are compared at each.
 
-The module knows pictures and features of VGG-16. Which statistics of these features count is decided in
-:mod:`metapp.apps.exemplar.exemplar_statistics`.
+The module knows pictures and features of VGG-16. What is computed of these features is decided in
+:mod:`metapp.apps.exemplar.exemplar_statistics`; the finest octave of data is told by the number of Gram matrices.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Octaves:
         taps: the layers of VGG-16 whose statistics are compared; the coarsest octave has all of them.
         count: the number of octaves.
         shares: the shares of a descent's steps up to which it sees the coarsest octave alone, the two coarsest, and so
-            on; () if it sees all from the beginning. A `Pyramid` makes pictures of coarser octaves, too.
+            on; () if it sees all from the beginning.
 
     >>> octaves = Octaves(64, 96, ("relu1_1", "relu2_1", "relu3_1"), count=2)
     >>> octaves.octave_size(1), octaves.count_maps(1), octaves.count_maps(0)

@@ -18,7 +18,6 @@ from metapp.appearance.lattice import find_lattice, kept_order_share, remove_qua
 from metapp.appearance.lines import compare_lines
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.appearance.stretch import MIN_STRETCH_SCORE
 from metapp.appearance.uniform import collapsed_fit_warnings
 from metapp.apps.exemplar.app import SHOWN_SEED, ExemplarApp, fixed_noise, shown_noise
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
@@ -105,12 +104,13 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             exemplar: the exemplar, [3, H, W], evenly lit.
             picture: the fit's picture of that size, evenly lit.
         """
-        if (share := kept_order_share(find_lattice(exemplar), picture)) < MIN_ORDER_SHARE:
-            return [f"keeps {share:.2f} of the photo's regular structure ({self.remedy_for('it')})"]
+        share = kept_order_share(find_lattice(exemplar), picture)
+        if share < MIN_ORDER_SHARE:  # False for NaN: without a lattice nothing is lost
+            return [f"keeps {share:.2f} of the photo's regular structure ({_remedy_for('it')})"]
         lines = compare_lines(exemplar, picture)
         if lines.fine_ratio < self.min_line_strength:
             figures = f"{lines.fine_ratio:.2f} as strong, expected {self.min_line_strength:g} or more"
-            remedy = self.remedy_for("them")
+            remedy = _remedy_for("them")
             return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy})"]
         return []
 
@@ -125,18 +125,11 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         even, cells = remove_quadratic_trend(exemplar), self.app.octaves.octave_size()
         if (strength := seam_strength(even, quilt, places, cells)) > MAX_SEAM_STRENGTH:
             figure = f"changes across them are {strength:.1f} times as strong as the photo's"
-            return [f"shows the cuts between pieces of the photo ({figure}, {self.remedy_for('its structure')})"]
+            return [f"shows the cuts between pieces of the photo ({figure}, {_remedy_for('its structure')})"]
         share = repeated_share(places, cells)
-        if share > MAX_REPEATED_SHARE and find_lattice(even).score < MIN_STRETCH_SCORE:
+        if share > MAX_REPEATED_SHARE and not find_lattice(even).repeats:
             return [f"repeats {share:.0%} of itself (a photo of more of the material helps)"]
         return []
-
-    def remedy_for(self, lost: str) -> str:
-        """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence.
-
-        Another photograph is advised, since fits copy pieces of the one that they see.
-        """
-        return f"a photo that shows {lost} more often helps"
 
     @override
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
@@ -151,3 +144,11 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         places, cells = quilts.places.cpu(), self.app.octaves.octave_size()
         figures = {"copied": copied_share(places, cells), "repeated": repeated_share(places, cells)}
         return {**super().remarks(theta, task), **figures}
+
+
+def _remedy_for(lost: str) -> str:
+    """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence.
+
+    Another photograph is advised, since fits copy pieces of the one that they see.
+    """
+    return f"a photo that shows {lost} more often helps"

@@ -1,6 +1,7 @@
 """The base of applications whose networks change quilts of exemplars: pictures of pieces that tile.
 
 Which quilt a fit begins with is chosen in `quilts`. At the size of files its pieces are fetched from the photograph.
+Noise says how far a tile is moved, and nothing else unless the network reads noise, too.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing_extensions import override
 
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.app import ExemplarApp, Quilts
-from metapp.apps.exemplar.quilts import choose_quilt, quilt_again
+from metapp.apps.exemplar.quilts import choose_quilt, resize_tile
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.quilted import fetch_pieces
 
@@ -36,6 +37,12 @@ class QuiltedExemplarApp(ExemplarApp):
     """
 
     candidates: int = 12
+
+    def __post_init__(self) -> None:
+        # places are in sides of the exemplar, and are applied to the whole square photograph
+        if self.octaves.height != self.octaves.width:
+            size = f"{self.octaves.height}x{self.octaves.width}"
+            raise ValueError(f"{self.name}: exemplars of {size}, expected square ones for quilts.")
 
     @property
     @override
@@ -136,17 +143,17 @@ class QuiltedExemplarApp(ExemplarApp):
         )
         return quilt
 
-    def quilt_tile_again(self, task: Task, layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tensor:
-        """Quilt a tile of another size of a tile, and warn if that cuts the regular structure of the photograph.
+    def resize_tile_of_fit(self, task: Task, layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tensor:
+        """Make a tile of another size from pieces of a tile, and warn if that cuts regular structure of the photograph.
 
         Args:
             task: the task that was fitted; without a photograph in it there is no warning.
-            layers, colours, size: the arguments of :func:`quilt_again`.
+            layers, colours, size: the arguments of :func:`metapp.apps.exemplar.quilts.resize_tile`.
 
         Returns:
             [C, *size].
         """
-        quilted = quilt_again(layers, colours, size)
+        resized = resize_tile(layers, colours, size)
         if "image" in task.data:
-            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
-        return quilted.layers
+            resized.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
+        return resized.layers

@@ -18,7 +18,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from metapp.appearance.features import gram, statistics_distance
 from metapp.appearance.lattice import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.quilting import quilt_pixel_numbers
-from metapp.appearance.stretch import MIN_STRETCH_SCORE, apply_stretch, find_stretch
+from metapp.appearance.stretch import apply_stretch, find_stretch
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.networks.quilted import fetch_pieces, repeated_share, seam_strength
 
@@ -177,7 +177,7 @@ def choose_quilt(
 
 def find_repetition_weight(lattice: Lattice) -> float:
     """Return the factor by which blocks that a tile shows already count as worse: 0 of exemplars that repeat."""
-    return 0.0 if lattice.score >= MIN_STRETCH_SCORE else BLOCK_REPETITION_WEIGHT
+    return 0.0 if lattice.repeats else BLOCK_REPETITION_WEIGHT
 
 
 def repetition_penalty(lattice: Lattice, places: Tensor, cells: tuple[int, int]) -> float:
@@ -188,14 +188,14 @@ def repetition_penalty(lattice: Lattice, places: Tensor, cells: tuple[int, int])
         places: the place (y, x) in the photograph of each cell of the quilt, in its sides, [2, rows, columns].
         cells: the rows and columns of cells that have the size of the whole photograph.
     """
-    repeats_itself = lattice.score >= MIN_STRETCH_SCORE
-    return 0.0 if repeats_itself else REPEATED_SHARE_WEIGHT * repeated_share(places, cells)
+    return 0.0 if lattice.repeats else REPEATED_SHARE_WEIGHT * repeated_share(places, cells)
 
 
 def order_penalty(lattice: Lattice, picture: Tensor) -> float:
     """Return the penalty on a picture that has lost a part of an exemplar's order; 0 if the exemplar has none."""
     if lattice.score <= MIN_LATTICE_SCORE:
         return 0.0
+    # the share is NaN where no vector of the lattice fits: max(0.0, nan) is 0.0, no penalty
     return ORDER_WEIGHT * max(0.0, ORDER_GOAL - kept_order_share(lattice, picture))
 
 
@@ -214,8 +214,8 @@ def count_tile_cells(size: tuple[int, int], photo_size: tuple[int, int], cells: 
     return rows, columns
 
 
-def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> QuiltedAgain:
-    """Quilt a tile of another size of a tile; structures keep their size, and as much of their order as they can.
+def resize_tile(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> ResizedTile:
+    """Make a tile of another size from pieces of a tile; structures keep their size and, where possible, their order.
 
     Args:
         layers: pictures or maps that tile and lie over each other, [C, H, W].
@@ -240,16 +240,17 @@ def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Quilt
         places = quilt_places(source, tile_cells, blocks, rng, repetition_weight=repetition_weight)
         lost_order = 0.0
         if lattice.score > MIN_LATTICE_SCORE:
+            # 0 where the share is NaN
             lost_order = max(0.0, 1 - kept_order_share(lattice, fetch_pieces(colours, places, tile_cells, cells)))
         if lost_order < least:
             best, least = places, lost_order
         if not lost_order:
             break
-    return QuiltedAgain(fetch_pieces(layers, best, size, cells), fetch_pieces(colours, best, tile_cells, cells))
+    return ResizedTile(fetch_pieces(layers, best, size, cells), fetch_pieces(colours, best, tile_cells, cells))
 
 
-class QuiltedAgain(NamedTuple):
-    """A tile that was quilted of pieces of another tile.
+class ResizedTile(NamedTuple):
+    """A tile made of pieces of a tile of another size.
 
     Attributes:
         layers: the layers of the tile, [C, H, W].
@@ -267,7 +268,7 @@ class QuiltedAgain(NamedTuple):
             subject: the name of the task, with which the warning begins.
         """
         share = kept_order_share(find_lattice(remove_quadratic_trend(exemplar)), self.colours)
-        if share < MIN_ORDER_SHARE_AGAIN:
+        if share < MIN_ORDER_SHARE_AGAIN:  # False for NaN: without a lattice nothing is lost
             warnings.warn(
                 f"{subject}: cut for --size: keeps {share:.2f} of the photo's regular structure, expected "
                 f"{MIN_ORDER_SHARE_AGAIN:g} or more; bricks or boards may be cut. The photo's own size keeps more.",

@@ -136,7 +136,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Warn of a fit that is the same everywhere, where the map that it was fitted to is not."""
+        """Warn of a fit that is the same everywhere, where the true map is not."""
         truth = self.app.judge.gather(tasks)
         if truth is None:
             return super().quality_warnings(theta, tasks)

@@ -30,7 +30,8 @@ class SvbrdfNonstationary(ComposedApp):
 
     A task has `photo`, taken from straight above with the flash beside the lens, maybe `others`, further photographs,
     and `places`, the positions of camera and flash of all of them. Where they are known, it has the material's `maps`,
-    maybe with `map_weights`, weights of the losses of the maps in training, and `predicted`, another method's maps.
+    maybe with `map_weights`, by which the recipe `pretrained` alone leaves made-up maps out of its outer loss, and
+    `predicted`, another method's maps.
 
     Attributes:
         read_px: the side, in px, at which a user's photographs are read; 0 leaves it to the readers.

@@ -31,8 +31,8 @@ WIDEST_TIMES = 8  # the most channels of a level, over the channels of the level
 class PhotoUNet(NamedTuple):
     """A U-Net whose levels all know the picture's mean (Ronneberger et al. 2015; Deschaintre et al. 2018).
 
-    It reads a photograph at BASE_TEXELS, and if that is larger, its finer levels add to the output of the
-    coarser ones. So its weights serve at every resolution up to BASE_TEXELS * 2^len(finer).
+    With finer levels it reads a photograph at BASE_TEXELS, and each finer level adds to the code, so that its weights
+    serve at every resolution up to BASE_TEXELS * 2^len(finer). Without them it reads a photograph at its own size.
 
     Attributes:
         width: the number of channels of the level of BASE_TEXELS; each level down has twice as many, up to WIDEST_TIMES
@@ -46,7 +46,7 @@ class PhotoUNet(NamedTuple):
     finer: tuple[int, ...] = ()
 
     def level_channels(self, level: int) -> int:
-        """Return the number of channels of a level; level 0 has BASE_TEXELS a side, each further one half as many."""
+        """Return the number of channels of a level; level 0 is the finest of the coarse ones."""
         result: int = self.width * min(2**level, WIDEST_TIMES)
         return result
 
@@ -79,7 +79,7 @@ class PhotoUNet(NamedTuple):
         If there are finer levels, H is at most BASE_TEXELS, or BASE_TEXELS times a power of two.
 
         Returns:
-            `z`, the code [T, code, H, H], and `flash`, the numbers that stand for the flash, [T, FLASH_NUMBERS].
+            `z`, the code [T, code, H, H], and `flash`, the raw parameters of the flash, [T, FLASH_NUMBERS].
         """
         finer_output, finer_features = self._apply_finer(encoder, photos)
         base_photos = adaptive_avg_pool2d(photos, min(BASE_TEXELS, photos.shape[-1])) if finer_features else photos

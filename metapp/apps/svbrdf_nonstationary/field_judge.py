@@ -9,7 +9,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
 from metapp.appearance.svbrdf_maps import Maps, tilt_sine, unpack_maps
-from metapp.apps.svbrdf_nonstationary.map_judge import LEVEL_SINE, LitMaps, MapJudge, blots, radiance_difference
+from metapp.apps.svbrdf_nonstationary.map_judge import LEVEL_SINE, LitMaps, MapJudge, blots, log_radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import map_differences
 from metapp.apps.svbrdf_nonstationary.photo_sight import compare_maps, compare_photos
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
@@ -25,13 +25,14 @@ class FieldJudge(MapJudge):
 
     @override
     def outer_loss(self, answer: PhotographedMaps, seen: Any, truth: LitMaps) -> Tensor:
-        """Return the difference of the maps and of their radiance under any light, [T].
+        """Return the outer loss of each fit, [T].
 
-        The mean steepness of normals counts, too: the normals with the least mean difference from all that a photo
-        allows are flat.
+        It has differences of log radiance under random lights, of maps, of the photograph, of steepness, and of diffuse
+        colours where the photograph clips. The mean steepness of normals counts since the normals with the least mean
+        difference from all that a photo allows are flat.
         """
         maps, target = answer.maps, unpack_maps(truth.maps)
-        pictures = radiance_difference(maps, target, truth.pairs)
+        pictures = log_radiance_difference(maps, target, truth.pairs)
         photo = compare_photos(answer.render(), seen.photo, {})
         steepness_difference = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         differences = map_differences(maps, target)

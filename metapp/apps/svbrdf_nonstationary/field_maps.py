@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import (
     FLASH_LOG_HEIGHT,
@@ -92,7 +92,7 @@ class FieldMaps(MaterialDecoder[PhotographedMaps, Any]):
         return Maps(*(torch.cat(strip_maps, -2) for strip_maps in zip(*strips, strict=True)))
 
     def finish_maps(self, raw: Tensor) -> Maps:
-        """Return the maps [T, C, h, w] that outputs of fields, [T, sum(CHANNELS), h, w], stand for."""
+        """Return the maps [T, C, h, w] of raw parameters [T, 9, h, w], the outputs of fields."""
         return decode_maps(raw)
 
     def decode_flash_numbers(self, flash: Tensor, camera_heights: Tensor) -> Flash:

@@ -1,4 +1,4 @@
-"""Flashes of photographs: the unbounded numbers that stand for them, and how maps look under them.
+"""Flashes of photographs: their raw parameters, which are unbounded numbers, and how maps look under them.
 
 Fits of one photograph and of several share the numbers and their units; they differ in how the camera moves with the
 flash, see :data:`CameraMotion`.
@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash_rendering import camera_distance, camera_position, render_maps, texel_positions
+from metapp.appearance.flash import camera_distance, camera_position, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 
-FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x and y, its height, its gain
+FLASH_NUMBERS = 4  # raw parameters of a flash: its shift in x and y, its height, its gain
 # What 1 of such a number means: half sides of the patch, the log of a factor of the height, the log of the gain
 FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
 
@@ -32,7 +32,7 @@ class Flash(NamedTuple):
     Attributes:
         place: the position of the flash in half sides of the patch, [B, 3].
         gain: the intensity of the flash, which exposure is a part of, [B, 1]; see
-            :func:`metapp.appearance.flash_rendering.render_maps`.
+            :func:`metapp.appearance.flash.render_maps`.
         eye: the position of the camera in half sides of the patch, [B, 3]; [3] if all photographs have one.
         falloff: power of the cosine of the angle with the flash's axis, which points at the middle of the patch, [B];
             it stands for the beam of the flash and the vignetting of the lens.
@@ -51,9 +51,9 @@ def decode_flash(
     *,
     camera: CameraMotion = "fixed",
 ) -> Flash:
-    """Return the flashes, and the positions of the cameras, that unbounded numbers stand for.
+    """Return the flashes, and the positions of the cameras, of raw parameters.
 
-    Zeros stand for a flash at its measured position, in whose light a white patch right below it has radiance 1,
+    Zeros are a flash at its measured position, in whose light a white patch right below it has radiance 1,
     whatever the height, since exposure makes up for that.
 
     Args:

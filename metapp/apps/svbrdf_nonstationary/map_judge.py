@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.flash_rendering import render_maps, texel_positions
+from metapp.appearance.flash import render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, map_statistics, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_LINEAR_VALUE,
@@ -83,7 +83,7 @@ class MapJudge(Judge[Any, Any, TrueMaps]):
             steep they should be; `blots`, the difference of diffuse colours where the photo clips, 0 if it does not.
         """
         target = unpack_maps(truth.maps)
-        logs, references = judged_radiance(prediction), judged_radiance(target)
+        logs, references = judged_log_radiance(prediction), judged_log_radiance(target)
         cosine = (prediction.normal * target.normal).sum(1).clamp(-1, 1)
         differences = map_differences(prediction, target)
         steepness = [map_statistics(material)[:, 0, -1] + LEVEL_SINE for material in (prediction, target)]
@@ -116,13 +116,13 @@ def log_radiance(maps: Maps, pairs: Tensor, positions: Tensor | None = None) -> 
     return (render_maps(maps_by_pair, positions[:, None], pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
 
-def radiance_difference(maps: Maps, target: Maps, pairs: Tensor, positions: Tensor | None = None) -> Tensor:
+def log_radiance_difference(maps: Maps, target: Maps, pairs: Tensor, positions: Tensor | None = None) -> Tensor:
     """Return the mean absolute difference of :func:`log_radiance` of two sets of maps, [T]."""
     logs, references = (log_radiance(material, pairs, positions) for material in (maps, target))
     return (logs - references).abs().mean((1, 2, 3, 4))
 
 
-def judged_radiance(maps: Maps) -> Tensor:
+def judged_log_radiance(maps: Maps) -> Tensor:
     """Return log radiance [T, V, 3, H, W] of maps [T, C, H, W] under the lights that fits are judged under."""
     return log_radiance(maps, fixed_pairs(JUDGED_LIGHTS).to(maps.diffuse)[None])
 

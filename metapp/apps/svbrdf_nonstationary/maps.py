@@ -1,4 +1,4 @@
-"""Maps of a flat material: the unbounded numbers that stand for them, and how far two are apart.
+"""Maps of a flat material: their raw parameters, which are unbounded numbers, and how far two are apart.
 
 Here are also places of lights and viewers under which maps are compared, and what networks read of photographs.
 """
@@ -13,11 +13,11 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash_rendering import camera_distance, texel_positions
+from metapp.appearance.flash import camera_distance, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.learning.random_tensors import draw_uniform
 
-# Channels of unbounded numbers that stand for a texel: slopes, diffuse colour, roughness, specular colour
+# Channels of the raw parameters of a texel: slopes, diffuse colour, roughness, specular colour
 CHANNELS = (2, 3, 1, 3)
 ROUGHNESS_CHANNEL = CHANNELS[0] + CHANNELS[1]
 PIXEL_INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
@@ -29,7 +29,7 @@ CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that
 
 
 def decode_maps(raw: Tensor) -> Maps:
-    """Return the maps [T, C, H, W] that unbounded numbers [T, 9, H, W] stand for; inverts :func:`encode_maps`."""
+    """Return the maps [T, C, H, W] of raw parameters [T, 9, H, W]; inverts :func:`encode_maps`."""
     slopes, diffuse, roughness, specular = raw.split(CHANNELS, 1)
     return Maps(
         torch.sigmoid(diffuse) ** 2.2,  # so that outputs are about evenly spread for the eye
@@ -40,24 +40,24 @@ def decode_maps(raw: Tensor) -> Maps:
 
 
 def encode_maps(maps: Maps) -> Tensor:
-    """Return the unbounded numbers [T, 9, H, W] that stand for maps [T, C, H, W]; inverts :func:`decode_maps`.
+    """Return the raw parameters [T, 9, H, W] of maps [T, C, H, W]; inverts :func:`decode_maps`.
 
-    Ends of ranges, which no number stands for, are moved inwards: colours by 2 % in steps that look even, see
+    Ends of ranges, which no raw parameter reaches, are moved inwards: colours by 2 % in steps that look even, see
     :func:`decode_maps`, roughness by 1 %. Normals whose z is below 0.1 become less steep.
     """
     slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)
-    # `decode_maps` subtracts 2 from the numbers of the specular colour, so that 0 stands for a dielectric.
+    # `decode_maps` subtracts 2 from the numbers of the specular colour, so that 0 is a dielectric.
     specular = torch.logit(maps.specular.clamp(1e-4, 1).sqrt().clamp(0.02, 0.98)) + 2
     return torch.cat([slopes, encode_diffuse(maps.diffuse), encode_roughness(maps.roughness), specular], 1)
 
 
 def encode_diffuse(diffuse: Tensor) -> Tensor:
-    """Return the unbounded numbers of a diffuse colour of any shape; see :func:`encode_maps`."""
+    """Return the raw parameters of a diffuse colour of any shape; see :func:`encode_maps`."""
     return torch.logit((diffuse.clamp(1e-4, 1) ** (1 / 2.2)).clamp(0.02, 0.98))
 
 
 def encode_roughness(roughness: Tensor) -> Tensor:
-    """Return the unbounded numbers of a roughness of any shape; see :func:`encode_maps`."""
+    """Return the raw parameter of a roughness of any shape; see :func:`encode_maps`."""
     return torch.logit(((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).clamp(0.01, 0.99))
 
 

@@ -1,4 +1,4 @@
-"""What every sight of a flat material can say to a presenter: photographs, cameras, remarks and warnings."""
+"""The base of the sights of a flat material: data augmentation, and what presenters ask of them."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from metapp.apps.svbrdf_nonstationary.variants import vary_materials
 from metapp.learning.composed import Sight
 from metapp.learning.task import Task, Tasks
 
-# Augmented materials are photographed FINER times as fine as fits' maps, up to this side.
-FINER, FINEST_SHOT_PX = 2, 256
+# Augmented materials are photographed PHOTOGRAPHED_TIMES times as fine as fits' maps, up to this side.
+PHOTOGRAPHED_TIMES, FINEST_SHOT_PX = 2, 256
 
 
 class MaterialSight(Sight[Answer, Seen]):
     """The base of the sights of a flat material, with what presenters ask of them.
 
-    Whatever fits see has `photo`, the photograph from straight above: decoders and General's encoder read it.
+    Whatever fits see has `photo`, the first photograph, which filling, warnings and errors read.
     """
 
     @abstractmethod
@@ -82,11 +82,11 @@ class MaterialSight(Sight[Answer, Seen]):
 
 def photographed_size(side: int) -> int:
     """Return the side in texels of augmented materials when they are photographed, for maps of a side of fits."""
-    return max(side, min(FINER * side, FINEST_SHOT_PX))
+    return max(side, min(PHOTOGRAPHED_TIMES * side, FINEST_SHOT_PX))
 
 
 def draw_materials(tasks: Tasks, side: int, rng: Generator) -> tuple[Tensor, TrueMaps]:
-    """Turn, mirror, mix and recolour the materials of training tasks.
+    """Crop the materials of training tasks, or turn them where there is no room; then restyle, recolour and mix them.
 
     Returns:
         Packed maps [T, 10, S, S] at the size at which materials are photographed, see :func:`photographed_size`, and

@@ -12,7 +12,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.highlight import FILL_PX, clipped_highlight_warnings, fill_clipped, find_clipped, format_percent
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, TrueMaps

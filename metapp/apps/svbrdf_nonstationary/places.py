@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 
 ASIDE_HALF_SIDES = 0.6  # farthest from above the middle, of all photographs but the first

@@ -15,14 +15,14 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_position
+from metapp.appearance.flash import camera_position
 from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph_maps, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
-from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_radiance
+from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_log_radiance
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
@@ -106,7 +106,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         if truth is None:
             return None
         fitted_maps = self.app.prediction(add_task_axis(theta), self.app.sight.gather(tasks))
-        log_pictures = (judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(truth.maps)))
+        log_pictures = (judged_log_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(truth.maps)))
         return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in log_pictures))
 
     @override

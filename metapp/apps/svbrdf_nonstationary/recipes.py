@@ -60,7 +60,7 @@ PHOTO = replace(
     meta={"meta-encoder": GENTLE},
     rule="meta-encoder",
 )
-FINER = (16, 12)  # channels of the encoder's levels of 128 and 256 texels
+FINER_CHANNELS = (16, 12)  # channels of the encoder's levels of 128 and 256 texels
 REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
     QUICK,
     PHOTO,
@@ -72,7 +72,7 @@ REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
             FieldMaps(field_of(256, 32), "raised"),
             PhotoSight(fills=True),
             FieldJudge(),
-            PhotoEncoder(finer=FINER),
+            PhotoEncoder(finer=FINER_CHANNELS),
             FINEST_PX,
         ),
     ],

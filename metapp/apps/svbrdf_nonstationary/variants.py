@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import (
     FLASH_LOG_GAIN,
@@ -33,7 +33,7 @@ from metapp.apps.svbrdf_nonstationary.places import (
 )
 from metapp.learning import random_tensors
 
-# Standard deviations of the unbounded numbers that stand for a flash
+# Standard deviations of the raw parameters of a flash
 FLASH_DEVIATIONS = (
     FLASH_OFFSET_HALF_SIDES / FLASH_SHIFT,
     FLASH_OFFSET_HALF_SIDES / FLASH_SHIFT,

@@ -23,7 +23,12 @@ from metapp.apps.exemplar.app import (
     fixed_noise,
     shown_noise,
 )
-from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, encode_gloss
+from metapp.apps.svbrdf_stationary.flash_statistics import (
+    LEAST_ROUGHNESS,
+    SPECULAR_LOGIT,
+    FlashStatistics,
+    encode_gloss,
+)
 from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
@@ -143,8 +148,8 @@ class SvbrdfStationary(ExemplarApp):
         """
         diffuse_raw, specular_raw, roughness_raw, height_raw = raw.split((3, 1, 1, 1), -3)
         diffuse = torch.sigmoid(diffuse_raw) ** DISPLAY_GAMMA  # so that outputs are about evenly spread for the eye
-        specular = torch.sigmoid(specular_raw - 3)  # about 0.05 at first, like most dielectrics
-        roughness = 0.1 + 0.9 * torch.sigmoid(roughness_raw)
+        specular = torch.sigmoid(specular_raw + SPECULAR_LOGIT)
+        roughness = LEAST_ROUGHNESS + (1 - LEAST_ROUGHNESS) * torch.sigmoid(roughness_raw)
         height = RELIEF_WIDTHS * width * height_raw
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
@@ -155,6 +160,12 @@ class SvbrdfStationary(ExemplarApp):
         windows = order[:DRAWN_WINDOWS].expand(len(tasks), -1)
         noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
         return {"noise": noise, "windows": windows} | self.statistics.targets(tasks, windows)
+
+    @override
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """Add the statistics of the true maps, `truth` [T, 3, 2, 6], if the tasks have them."""
+        batch = super().outer_sample(tasks, rng, count)
+        return batch | ({"truth": tasks.data["truth"][tasks.rows]} if "truth" in tasks.data else {})
 
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:

@@ -1,7 +1,7 @@
 """The statistics of flash photographs: features window by window, the light, and the gloss that the highlight shows.
 
-A flash lights each place differently, so that statistics of a whole picture would mix bright and dark places. Pictures
-are known here, but not the maps or the network that they are made of.
+A flash lights each place differently, so that statistics of a whole picture would mix bright and dark places. Maps are
+known here as what is rendered; how a network makes them is in `app`, but for the ranges of gloss.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display
 from metapp.appearance.features import amplitude_spectrum, gram, moments, statistics_distance
-from metapp.appearance.flash_rendering import camera_position, relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.flash_search import estimate_flash_position
 from metapp.appearance.highlight import estimate_gloss, remove_shading, ring_profile
 from metapp.appearance.lattice import even_out_contrast
@@ -40,6 +40,8 @@ LOBE_SHARES, MAX_LOBE_ROUGHNESS = (0.6, 0.8), 0.5
 # Rings about the flash that are so many times as bright as the median px belong to the highlight; at most a share of px
 HIGHLIGHT_RADIANCE_RATIO, MAX_UNUSABLE_SHARE = 2.0, 0.25
 FLASH_FALLOFF = 1.0  # of the flash, as :func:`render_maps` takes it
+SPECULAR_LOGIT = -3.0  # specular in logits where a network gives 0: about 0.05, as most dielectrics have
+LEAST_ROUGHNESS = 0.1  # the roughness of maps is between this and 1
 
 
 class FlashStatistics(Statistics):
@@ -72,7 +74,10 @@ class FlashStatistics(Statistics):
 
     @override
     def summarise(self, maps: list[Tensor], octave: int) -> Tensor:
-        """Return means and root mean squares of features in three rings: of strong, medium and weak light."""
+        """Return means of features in three rings, and root mean squares, each divided by the root of the ring's share.
+
+        The rings are those of strong, medium and weak light.
+        """
         all_maps = self.octaves.repeat_finest(maps, octave)
         rings = [[mask_ring(features, low, high) for features in all_maps] for low, high in RING_BOUNDS]
         return torch.cat([moments(ring) for ring in rings], 1)
@@ -127,8 +132,7 @@ class FlashStatistics(Statistics):
     def targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         """Return what pictures are compared with in windows of the numbers [T, N], by name, [T, ...] each."""
         rows = tasks.rows
-        keys = [key for key in tasks.data if key in ("light", "pooled", "chroma", "detail", "truth")]
-        targets = {key: tasks.data[key][rows] for key in keys}
+        targets = tasks.gather(("light", "pooled", "chroma"))
         for index in range(self.octaves.count_maps(self.octaves.find_octave(tasks.data))):
             targets[f"spectrum{index}"] = tasks.data[f"spectrum{index}"][rows]
             targets[f"gram{index}"] = tasks.data[f"gram{index}"][rows[:, None], windows]
@@ -208,10 +212,13 @@ class FlashStatistics(Statistics):
 
 def encode_gloss(specular: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
     """Return the logits that the network makes specular and roughness of, for values of any shape."""
-    shares = ((specular, 1e-9), ((roughness - 0.1) / 0.9, 1e-6))  # torch.logit has one eps for both ends
+    shares = (
+        (specular, 1e-9),
+        ((roughness - LEAST_ROUGHNESS) / (1 - LEAST_ROUGHNESS), 1e-6),
+    )  # torch.logit has one eps for both ends
     # float32 has no 1 - 1e-9
     logits = [share.clamp_min(eps).log() - torch.log1p(-share.clamp_max(1 - 1e-6)) for share, eps in shares]
-    return logits[0] + 3, logits[1]
+    return logits[0] - SPECULAR_LOGIT, logits[1]
 
 
 def chroma_deviations(photos: Tensor) -> Tensor:

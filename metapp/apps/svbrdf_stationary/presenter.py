@@ -14,7 +14,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
-from metapp.appearance.flash_rendering import relighting_positions
+from metapp.appearance.flash import relighting_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import Picture, PictureComparison
@@ -39,7 +39,8 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     """The presenter of maps that tile: beside their flash photograph, and under other lights.
 
     Attributes:
-        relief: the factor of slopes of normals and of heights in files and pictures; errors are without it.
+        relief: the factor of slopes of normals and of heights in files and in pictures of maps; errors, and
+            pictures beside the photo, are without it.
     """
 
     relief: float = 1.0

@@ -21,6 +21,7 @@ from metapp.appearance.highlight import remove_shading
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.exemplar.app import (
+    SHOWN_SEED,
     PictureChanges,
     fixed_noise,
     move_tiles,
@@ -28,7 +29,7 @@ from metapp.apps.exemplar.app import (
 )
 from metapp.apps.exemplar.quilted_app import QuiltedExemplarApp
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.flash_statistics import chroma_deviations
+from metapp.apps.svbrdf_stationary.flash_statistics import LEAST_ROUGHNESS, chroma_deviations
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import enlarge_grid, fetch_pieces, normalise_quilts, quilt_deviation
@@ -84,8 +85,13 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Add the true maps of training tasks, `maps` [T, 10, H, W], at the places of the quilts."""
-        batch = super().sample(tasks, rng, count)
+        """Add `detail` [T, 3, N], how fine the detail of the photographs is."""
+        return super().sample(tasks, rng, count) | tasks.gather(("detail",))
+
+    @override
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """Add the true maps at the places of the quilts, `maps` [T, 10, H, W], if the tasks have them."""
+        batch = super().outer_sample(tasks, rng, count)
         if "maps" not in tasks.data:
             return batch
         places = zip(tasks.data["maps"][tasks.rows], tasks.data["places"][tasks.rows], strict=True)
@@ -171,7 +177,7 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
             Maps [C, H, W], and their height [1, H, W] in texels.
         """
         quilt = theta["quilt"]
-        noise = fixed_noise(self, quilt, 1)[:, :, : self.network.noise]
+        noise = fixed_noise(self, quilt, 1, seed=SHOWN_SEED)[:, :, : self.network.noise]
         raw = remove_slow_changes(self.network(theta, noise, normalise_quilts(quilt[:, None]))[0])
         fine_quilt = self.fetch_quilt(theta, task, "the maps have").clamp(0, 1)
         photo_size = fine_quilt.shape[-2], fine_quilt.shape[-1]
@@ -181,11 +187,13 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
             return maps, height
         layers = torch.cat([_display(maps.diffuse), maps.specular, maps.roughness, height])
         colours = adaptive_avg_pool2d(layers[:3], self.cells)
-        quilted = self.quilt_tile_again(task, layers, colours, size)
+        quilted = self.resize_tile_of_fit(task, layers, colours, size)
         diffuse, specular, roughness, height = quilted.split(LAYER_CHANNELS)
         # cubic interpolation overshoots
         diffuse, specular = (values.clamp(0, 1) for values in (diffuse, specular))
-        return Maps(diffuse**DISPLAY_GAMMA, specular, roughness.clamp(0.1, 1), normal_from_height(height)), height
+        return Maps(
+            diffuse**DISPLAY_GAMMA, specular, roughness.clamp(LEAST_ROUGHNESS, 1), normal_from_height(height)
+        ), height
 
 
 def fit_local_lines(pictures: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.features import gram, hann_window
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 
 WINDOWS_PER_SIDE = 3  # windows along a side, each half as long as the side
 WINDOW_COUNT = WINDOWS_PER_SIDE * WINDOWS_PER_SIDE
@@ -55,9 +55,10 @@ def fade_weights(window: Tensor) -> Tensor:
 
 
 def mask_ring(maps: Tensor, low: float, high: float) -> Tensor:
-    """Set feature maps [B, C, H, W] to 0 outside a ring about the centre, and scale them by the ring's share.
+    """Set feature maps [B, C, H, W] to 0 outside a ring about the centre, and divide them by the ring's share.
 
-    Their mean over the picture is the mean in the ring then.
+    Their mean over the picture is the mean in the ring then; their root mean square is the ring's, divided by the root
+    of the ring's share.
 
     Args:
         maps: the feature maps.

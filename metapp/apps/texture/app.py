@@ -1,7 +1,7 @@
 """The application of textures: Gram matrices of features of generated pictures are fitted to an exemplar's.
 
-The generator, General's encoder and data augmentation are in :mod:`metapp.apps.exemplar.app`; here is what makes a
-texture of the network's output and what is compared with the exemplar.
+General's encoder and data augmentation are in :mod:`metapp.apps.exemplar.app`, generators in :mod:`metapp.networks`;
+here is what makes a texture of the network's output and what is compared with the exemplar.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class QuiltedTexture(QuiltedExemplarApp, Texture):
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Add the quilts to what textures have: steps change none, whatever else a fit's parameters are."""
+        """Add the quilts. The loss reads them here, since a step changes each parameter that a loss reads."""
         return super().sample(tasks, rng, count) | {"quilt": tasks.data["quilt"][tasks.rows]}
 
     @override
@@ -109,4 +109,4 @@ class QuiltedTexture(QuiltedExemplarApp, Texture):
         if size is None or size == own_size:
             return tile
         small_tile = interpolate(self.network(theta, theta["quilt"]), size=self.cells, mode="area")[0]
-        return self.quilt_tile_again(task, tile, small_tile, size).clamp(0, 1)
+        return self.resize_tile_of_fit(task, tile, small_tile, size).clamp(0, 1)

@@ -78,8 +78,8 @@ def make_guide_table(
         flow: the network.
         theta: its parameters for one task, without a task axis.
         places: rows and columns of places on the film.
-        cells: rows and columns of cells of directions. Rows, of the first coordinate, hold exactly the flow's mass, and
-            share it among their cells as the flow does at their middle.
+        cells: rows and columns of cells of directions. Rows, of the first coordinate, hold exactly the flow's mass if
+            `power` is 1, and share it among their cells as the flow does at their middle.
         power: the power of the density; 1 for the flow's own. The best density for a mean goes with the root of the
             mean square of the radiance of paths. Most paths are black and the others about equal, so that the mean
             square goes with the mean, which the flow has learned.

@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.planes import all_surface_maps
 from metapp.extensions.assets.surface_pictures import fill_in_name, write_surface_maps

@@ -34,7 +34,7 @@ class SurfaceMap(NamedTuple):
 def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
     """Return the maps that were fitted, by name; heights are in texture widths and have a mean of 0."""
     if surface.maps is None:
-        return {"basecolor": SurfaceMap(surface.base, "srgb", "colour")}
+        return {"basecolor": SurfaceMap(surface.colour, "srgb", "colour")}
     maps = surface.maps
     return {
         "diffuse": SurfaceMap(maps.diffuse, "srgb", "diffuse albedo"),

@@ -27,7 +27,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display, stretch_to_unit_range
-from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
 from metapp.appearance.surface import DESCRIPTION_FILE, DIELECTRIC_F0, Surface
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.extensions.assets.planes import SurfaceMap, all_surface_maps, fitted_surface_maps
@@ -92,9 +92,9 @@ def render_preview(surface: Surface) -> Tensor:
     size = [max(1, math.floor(side * scale)) for side in surface.size]
     maps = surface.maps
     if maps is None:
-        return linear_to_srgb(_resize(surface.base, size).clamp(0, 1))
-    light, view = relighting_positions(dtype=surface.base.dtype)["left"]
-    positions = texel_positions(*surface.size, dtype=surface.base.dtype)
+        return linear_to_srgb(_resize(surface.colour, size).clamp(0, 1))
+    light, view = relighting_positions(dtype=surface.colour.dtype)["left"]
+    positions = texel_positions(*surface.size, dtype=surface.colour.dtype)
     radiance = render_maps(Maps(*(part[None] for part in maps)), positions, light, view)[0]
     return radiance_to_display(_resize(radiance, size))
 

@@ -138,7 +138,7 @@ def _make_exemplar_fit(
     Args:
         exemplar: display values [3, H, W].
         pictures: the pictures that are judged, [1, B, 3, H, W].
-        answer_at_size: makes the picture of files [1, 1, 3, h, w] of a size in px; None is the method's own size.
+        prediction_at_size: makes the picture of files [1, 1, 3, h, w] of a size in px; None is the method's own size.
     """
     return BaselineFit(
         lambda: pictures,

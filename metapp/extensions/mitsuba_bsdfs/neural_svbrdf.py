@@ -2,7 +2,7 @@
 
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
-It shades as `metapp.appearance.flash_rendering.evaluate_brdf` does. The specular texture is F0 in colour, which
+It shades as `metapp.appearance.flash.evaluate_brdf` does. The specular texture is F0 in colour, which
 Mitsuba's `principled` takes as one number only. A map of normals is not among its textures: wrap it into Mitsuba's
 `normalmap`.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
-from metapp.appearance.flash_rendering import LEAST_ROUGHNESS
+from metapp.appearance.flash import LEAST_ROUGHNESS
 from metapp.extensions.mitsuba_bsdfs.python_bsdf import LocalReflection, Reflection, enabled_components, make_bsdf_class
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin

@@ -3,7 +3,7 @@
 import torch
 from torch import Generator
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import (
     LOG_FLATTENING,
     MIN_SIDE,

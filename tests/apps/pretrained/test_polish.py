@@ -7,11 +7,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_HEIGHT, decode_flash, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, encode_roughness
-from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
+from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_reader
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     describe_highlight,
     predict_roughness,
@@ -107,7 +107,7 @@ def test_a_known_height_changes_the_roughness_of_polished_surfaces_and_never_whi
 
 
 def test_untrained_encoders_take_no_material_for_polished(rng: Generator) -> None:
-    shown = predict_roughness(init_decoder(rng, 5), describe_highlight(torch.rand(3, 3, 64, 64, generator=rng)))
+    shown = predict_roughness(init_reader(rng, 5), describe_highlight(torch.rand(3, 3, 64, 64, generator=rng)))
     torch.testing.assert_close(shown, torch.ones(3))
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import PhotoEncoder
@@ -29,7 +29,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     _balance,
     describe_patch,
     full_encoder,
-    init_decoder,
+    init_reader,
     read_photos,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
@@ -265,7 +265,7 @@ DIGEST = "bb6b69ff3905"  # the digest of General by "full" that the checkpoint's
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
-    decoder = init_decoder(rng, 5)
+    decoder = init_reader(rng, 5)
     for side in (32, 64):
         read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
         assert read["z"].shape == (2, 5 + FULL_APP.decoder.network.code, side, side)
@@ -278,7 +278,7 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
     """The flash is predicted from the whole patch, since it lies outside most windows."""
-    decoder, photos = init_decoder(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
+    decoder, photos = init_reader(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
     side = FULL_APP.decoder.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
     with torch.no_grad():
@@ -317,7 +317,7 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
     torch.testing.assert_close(*(describe_patch(photo)["overview"] for photo in (fine, smooth)))
-    untrained = init_decoder(rng, 5)
+    untrained = init_reader(rng, 5)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
     patch, middle = describe_patch(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
     window = (smooth[middle], texel_positions(256, 256)[None][middle])
@@ -345,7 +345,7 @@ def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
-    untrained = init_decoder(rng, 5)
+    untrained = init_reader(rng, 5)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
     photo = torch.rand(1, 3, 32, 32, generator=rng)
     patch = describe_patch(photo)

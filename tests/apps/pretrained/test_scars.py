@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import decode_flash, render_photo
 from metapp.apps.svbrdf_nonstationary.pretrained.scars import hidden_share, remove_scars, trust_texels

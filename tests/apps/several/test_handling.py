@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.several import handling
 

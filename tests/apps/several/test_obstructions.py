@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.several import newton
@@ -101,8 +101,8 @@ def test_photographs_of_the_material_alone_or_too_few_stay_unchanged(slope: floa
 def test_losses_and_steps_do_not_depend_on_what_hides_the_material() -> None:
     photos, places = photographs(1.0)
     batch = {key: value[None] for key, value in APP.prepare(as_task(obstruct(photos, "coin", [2]), places)).items()}
-    assert (batch["unobstructed"] == 0).any()
-    other = batch | {"photos": torch.where(batch["unobstructed"] > 0, batch["photos"], 0.9)}
+    assert (batch["shows_material"] == 0).any()
+    other = batch | {"photos": torch.where(batch["shows_material"] > 0, batch["photos"], 0.9)}
     maps = torch.zeros(1, 9, SIDE, SIDE)
     flashes = {"flash": torch.zeros(1, 4, 5), "falloff": torch.zeros(1, 1)}
     theta = {"maps": maps, **flashes, "prior": torch.cat([maps, maps], 1)}

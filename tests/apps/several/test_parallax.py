@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash_rendering import camera_distance, render_maps, texel_positions
+from metapp.appearance.flash import camera_distance, render_maps, texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.several.parallax import (

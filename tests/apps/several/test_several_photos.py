@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp.appearance.flash_rendering import camera_distance, directions_to_point, texel_positions
+from metapp.appearance.flash import camera_distance, directions_to_point, texel_positions
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
@@ -85,7 +85,7 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     assert ((slopes - expected).abs() < bound).all()
     body = maps.diffuse.mean(1, keepdim=True) * maps.normal[:, 2:]
     torch.testing.assert_close(level, body, rtol=0.03, atol=0)
-    reading = stereo.read_photos(render_photos(maps, decode_flash(flash, places)), places)
+    reading = stereo.read_stereo(render_photos(maps, decode_flash(flash, places)), places)
     cosine = torch.nn.functional.cosine_similarity(reading.maps[:, :2].flatten(), expected.flatten(), 0)
     assert float(cosine) > 0.98  # exposures and lobes are looked for, too
 
@@ -95,7 +95,7 @@ def test_exposures_of_photographs_are_solved() -> None:
     gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
     photos = 0.5 * render_photos(maps, decode_flash(torch.zeros(1, 5, FLASH_NUMBERS), places))
     plain, changed = (
-        stereo.read_photos(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
+        stereo.read_stereo(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
     )
     torch.testing.assert_close(changed.gains - plain.gains, gains[None], rtol=0, atol=0.01)
     torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)
@@ -106,7 +106,7 @@ def test_the_order_of_photographs_does_not_matter(app: SvbrdfNonstationary, task
     one = app.encode(encoder, app.encoder.select_input(seen))
     loss = app.loss(one, seen._asdict(), {})
     for order in map(list, itertools.permutations(range(COUNT))):
-        ordered = {key: getattr(seen, key)[:, order] for key in ("photos", "unobstructed", "places")}
+        ordered = {key: getattr(seen, key)[:, order] for key in ("photos", "shows_material", "places")}
         reordered = seen._replace(**ordered)
         other = app.encode(encoder, app.encoder.select_input(reordered))
         torch.testing.assert_close(other["maps"], one["maps"], rtol=1e-3, atol=1e-3)
@@ -141,7 +141,10 @@ def test_true_maps_from_true_places_have_the_least_loss(app: SvbrdfNonstationary
 
 def test_gradients_are_those_of_finite_differences(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     batch = {key: value.double() for key, value in app.sample(tasks.select([0]), Generator(), 1).items()}
-    batch |= {"photos": batch["photos"][..., :4, :4].clamp_max(0.9), "unobstructed": batch["unobstructed"][..., :4, :4]}
+    batch |= {
+        "photos": batch["photos"][..., :4, :4].clamp_max(0.9),
+        "shows_material": batch["shows_material"][..., :4, :4],
+    }
     theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
     theta = {key: value[..., :4, :4] if key in ("maps", "prior") else value for key, value in theta.items()}
     noise = torch.randn(theta["maps"].shape, generator=Generator().manual_seed(0), dtype=torch.float64)

@@ -113,7 +113,7 @@ def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
     found = {file.name for file in (tmp_path / "rock").iterdir()}
     assert found == {"rock_basecolor.png", "preview.png", "material.json"}
     assert json.loads((tmp_path / "rock" / "material.json").read_text())["kind"] == "texture"
-    assert (read_linear_colours(file(tmp_path / "rock", "basecolor")) - texture_surface().base).abs().max() < 1e-4
+    assert (read_linear_colours(file(tmp_path / "rock", "basecolor")) - texture_surface().colour).abs().max() < 1e-4
 
 
 def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
@@ -326,7 +326,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
     diffuse, specular = metallic_to_specular(base, metallic)
     maps = rock_surface(8).maps._replace(diffuse=diffuse, specular=specular)
-    surface_pictures.write_blender(rock_surface(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_blender(rock_surface(8)._replace(colour=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
     read = [
         read_stored_values(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
     ]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display
-from metapp.appearance.flash_rendering import (
+from metapp.appearance.flash import (
     camera_position,
     evaluate_brdf,
     relighting_positions,

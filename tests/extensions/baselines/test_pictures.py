@@ -10,7 +10,7 @@ from scipy.special import sph_harm_y
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash_rendering import camera_position, relighting_positions
+from metapp.appearance.flash import camera_position, relighting_positions
 from metapp.appearance.latlong import texel_directions
 from metapp.appearance.quilting import cut_mask
 from metapp.appearance.svbrdf_maps import Maps

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
-from metapp.appearance.flash_rendering import evaluate_brdf
+from metapp.appearance.flash import evaluate_brdf
 from metapp.appearance.geometry import (
     directions_to_four_angles,
     directions_to_full_rusinkiewicz,

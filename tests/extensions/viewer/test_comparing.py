@@ -38,7 +38,7 @@ def surface(*, photo: bool = False) -> View:
     fit = rock_surface(32, tiles=False)
     above = torch.tensor([0.0, 0.0, 3.0])
     lit = [LitPicture(above, above, photo=torch.rand(3, 32, 32))] if photo else []
-    return make_surface_view(Surface(fit.base, False, fit.maps), lit, reference=fit.maps)
+    return make_surface_view(Surface(fit.colour, False, fit.maps), lit, reference=fit.maps)
 
 
 def pictures(name: str) -> View:

@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display
-from metapp.appearance.flash_rendering import (
+from metapp.appearance.flash import (
     camera_distance,
     evaluate_brdf,
     relighting_positions,

@@ -1,6 +1,6 @@
 """Non-stationary svBRDFs from one flash photograph by frozen features of VGG-16: the recipe `pretrained`.
 
-`encoder` has General: a small decoder over features of VGG-16, an overview of the patch, from which gloss is read, and
+`encoder` has General: a small reader of features of VGG-16, an overview of the patch, from which gloss is read, and
 the maps of General by the recipe `full`, whose flash it takes over; train it anew where that one is. `polish` reads the
 roughness of polished surfaces off a sharp highlight. `mean_field` has the decoder of maps, the mean of the fields of
 both networks; steps change the code of `full` and the flash alone, so that normals stay General's. `feature_sight` has

@@ -1,9 +1,9 @@
-"""General's encoder of a flash photograph: a small decoder over frozen features of VGG-16.
+"""General's encoder of a flash photograph: a small reader of frozen features of VGG-16.
 
 Features that know real pictures tell relief from colour where an encoder that has seen drawn materials alone does not.
 But features look at pixels, and a highlight is as large as the patch: so gloss is read off a small picture of all of
 the patch, and off the maps that General by the recipe "full" makes, which was trained on ten times as many materials.
-The trained part is the decoder; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
+The trained part is the reader; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, in
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions, load_features, uses_bfloat16, vgg_weights_path
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import (
@@ -51,16 +51,16 @@ from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpo
 
 # Layers of VGG-16, each half as fine as the one before, and their numbers of channels
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}
-WIDTHS = (32, 64, 96, 128)  # channels of the decoder's levels, the finest first
+WIDTHS = (32, 64, 96, 128)  # channels of the reader's levels, the finest first
 SIDE_STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are multiples of it
 VGG_MEAN, GAMMA = 0.35, 2.2  # linear mean, and gamma, of the photographs that VGG sees
-PIXEL_INPUTS = 12  # numbers of a pixel that the decoder reads beside features
+READER_PIXEL_INPUTS = 12  # numbers of a pixel that it reads beside features
 MIN_TINT = 0.2  # a channel's mean over the mean of all channels; darker channels are brightened less
 MIN_BRIGHTNESS = 1e-3  # linear mean, 1 is white, of photographs that are nearly black
 PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `map_differences`
 INITIAL_DEVIATION, MIN_DEVIATION = 0.1, 0.01  # predicted errors of maps: before training, and the least
 UNKNOWN_LOG = 10.0  # log of a predicted error where nothing is known of it
-DEVIATION_LEVEL = 2  # the level of the decoder that predicts errors, at a quarter of the photograph's side
+DEVIATION_LEVEL = 2  # the level of the reader that predicts errors, at a quarter of the photograph's side
 OVERVIEW_PX = 32  # side of the overview, in which highlights have one size whatever a photograph's resolution
 OVERVIEW_POOLING = 4  # the side of its first level over that of its second
 OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
@@ -88,7 +88,7 @@ class FeatureEncoder(Encoder[Any]):
     def init(self, rng: Generator, decoder: Any) -> Params:
         """Draw the reader and the first field, whose maps are nearly flat: training begins without relief."""
         first_field = LocalField(*decoder.network)
-        return join_encoder(init_decoder(rng, first_field.code), scale_slopes(first_field.init(rng, 1)), ("z",))
+        return join_encoder(init_reader(rng, first_field.code), scale_slopes(first_field.init(rng, 1)), ("z",))
 
     @override
     def select_input(self, seen: Any) -> Batch:
@@ -125,38 +125,38 @@ class FeatureEncoder(Encoder[Any]):
         return _apply_polish(theta, maps, encoder_input["camera_height"], 1 - FULL_SHARE)
 
 
-def init_decoder(rng: Generator, code: int) -> Params:
-    """Draw random parameters of a decoder whose output is `code` numbers in a pixel."""
-    decoder: Params = {}
-    add_random_layer = functools.partial(add_layer, decoder, rng)
+def init_reader(rng: Generator, code: int) -> Params:
+    """Draw random parameters of a reader whose output is `code` numbers in a pixel."""
+    reader: Params = {}
+    add_random_layer = functools.partial(add_layer, reader, rng)
     for level, (width, channels) in enumerate(zip(WIDTHS, TAPS.values(), strict=True)):
         coarser_widths = WIDTHS[level + 1 : level + 2]
         add_random_layer(f"level{level}.features", width, channels)
         for below in coarser_widths:
             add_random_layer(f"level{level}.coarser", width, below)
-        add_random_layer(f"level{level}.first", width, width * (1 + len(coarser_widths)) + PIXEL_INPUTS, 3, 3)
+        add_random_layer(f"level{level}.first", width, width * (1 + len(coarser_widths)) + READER_PIXEL_INPUTS, 3, 3)
         add_random_layer(f"level{level}.second", width, width, 3, 3, gain=0.7)
         add_random_layer(f"level{level}.mean", width, width, gain=0.5)
         add_random_layer(f"level{level}.overview", width, sum(OVERVIEW_WIDTHS), gain=0.0)
         add_random_layer(f"level{level}.guess", width, GUESS_CHANNELS, gain=0.0)
-    for level, (width, below) in enumerate(zip(OVERVIEW_WIDTHS, (PIXEL_INPUTS, *OVERVIEW_WIDTHS), strict=False)):
+    for level, (width, below) in enumerate(zip(OVERVIEW_WIDTHS, (READER_PIXEL_INPUTS, *OVERVIEW_WIDTHS), strict=False)):
         add_random_layer(f"overview{level}.first", width, below, 3, 3)
         add_random_layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
         add_random_layer(f"overview{level}.mean", width, width, gain=0.5)
-    add_polish(decoder, rng)
+    add_polish(reader, rng)
     add_random_layer("code", code, WIDTHS[0], gain=0.3)
     add_random_layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
-    decoder["deviation.shift"] += math.log(INITIAL_DEVIATION)
-    return decoder
+    reader["deviation.shift"] += math.log(INITIAL_DEVIATION)
+    return reader
 
 
-def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
+def read_photos(reader: Params, photos: Tensor, positions: Tensor | None = None, patch: Params | None = None) -> Params:
     """Predict from linear photographs the codes of fields, the flash, and errors of maps.
 
     Args:
-        decoder: the parameters that `init_decoder` draws.
+        reader: the parameters that `init_reader` draws.
         photos: linear photographs of any exposure and white balance, [T, 3, H, H].
-        place: the positions of the pixels in the patch, [T, 2, H, H]; None if the photographs show the whole patch.
+        positions: the positions of the pixels in the patch, [T, 2, H, H]; None if the photographs show the whole patch.
         patch: the tensors of :func:`describe_patch` for the whole patch, of which the photographs show a window; None
             if the photographs show the whole patch.
 
@@ -170,36 +170,36 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
     """
     if photos.shape[-1] % SIDE_STEP_PX or photos.shape[-2] % SIDE_STEP_PX:
         raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {SIDE_STEP_PX}; set another size.")
-    if place is None:
-        place = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
+    if positions is None:
+        positions = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
     patch = describe_patch(photos) if patch is None else patch
     mean = patch["overview"].mean((2, 3), keepdim=True)
-    balanced, inputs = _balance(photos, place, mean)
+    balanced, inputs = _balance(photos, positions, mean)
     overview_place = texel_positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
     _, overview_inputs = _balance(patch["overview"], overview_place, mean)
     with torch.autocast(photos.device.type, torch.bfloat16, enabled=uses_bfloat16(photos.device)):
-        overview_fine = apply_block(decoder, "overview0", overview_inputs)
-        overview_coarse = apply_block(decoder, "overview1", avg_pool2d(overview_fine, OVERVIEW_POOLING))
+        overview_fine = apply_block(reader, "overview0", overview_inputs)
+        overview_coarse = apply_block(reader, "overview1", avg_pool2d(overview_fine, OVERVIEW_POOLING))
         enlarged = interpolate(overview_coarse, scale_factor=OVERVIEW_POOLING, mode="bilinear")
         surroundings = torch.cat([overview_fine, enlarged], 1)
         x, result = None, {}
         for level, features in reversed(list(enumerate(_compute_vgg_features(balanced)))):
-            level_features = apply_pointwise(decoder, f"level{level}.features", features)
-            overview_features = apply_pointwise(decoder, f"level{level}.overview", surroundings)
-            level_place = avg_pool2d(place, 1 << level)
-            guess_features = apply_pointwise(decoder, f"level{level}.guess", _sample_at(patch["guess"], level_place))
+            level_features = apply_pointwise(reader, f"level{level}.features", features)
+            overview_features = apply_pointwise(reader, f"level{level}.overview", surroundings)
+            level_place = avg_pool2d(positions, 1 << level)
+            guess_features = apply_pointwise(reader, f"level{level}.guess", _sample_at(patch["guess"], level_place))
             overview_features = _sample_at(overview_features, level_place).to(level_features)
             level_features = leaky_relu(level_features + overview_features + guess_features, ENCODER_LEAKY_SLOPE)
             parts = [level_features, avg_pool2d(inputs, 1 << level).to(level_features)]
-            parts += [] if x is None else [upsample(apply_pointwise(decoder, f"level{level}.coarser", x))]
+            parts += [] if x is None else [upsample(apply_pointwise(reader, f"level{level}.coarser", x))]
             # channels first take half the time where there are gradients, though VGG is quicker with channels last
-            x = apply_block(decoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
+            x = apply_block(reader, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
             if level == DEVIATION_LEVEL:
-                result["deviation"] = apply_pointwise(decoder, "deviation", x).float()
+                result["deviation"] = apply_pointwise(reader, "deviation", x).float()
         assert x is not None
-        code = apply_pointwise(decoder, "code", x).float()
-    result |= {"z": torch.cat([code, _sample_at(patch["code"], place)], 1), "flash": patch["flash"]}
-    return result | {"shown": predict_roughness(decoder, patch["highlight"])}
+        code = apply_pointwise(reader, "code", x).float()
+    result |= {"z": torch.cat([code, _sample_at(patch["code"], positions)], 1), "flash": patch["flash"]}
+    return result | {"shown": predict_roughness(reader, patch["highlight"])}
 
 
 @torch.no_grad()
@@ -252,8 +252,9 @@ def _balance(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tenso
         mean: the mean colour, [T, 3, 1, 1].
 
     Returns:
-        Balanced photographs [T, 3, H, W], and the inputs of pixels, [T, PIXEL_INPUTS, H, W]: logs of balanced colours,
-        contrasts of brightness, the position, clipping and, equal in all pixels, brightness and tint of the mean.
+        Balanced photographs [T, 3, H, W], and the inputs of pixels, [T, READER_PIXEL_INPUTS, H, W]: logs of balanced
+        colours, contrasts of brightness, the position, clipping and, equal in all pixels, brightness and tint of the
+        mean.
     """
     grey = mean.mean(1, keepdim=True).clamp_min(MIN_BRIGHTNESS)
     white = torch.maximum(mean, MIN_TINT * grey)

@@ -11,7 +11,7 @@ from typing_extensions import override
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.field_judge import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT
 from metapp.apps.svbrdf_nonstationary.flashes import render_photo
-from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, blots, radiance_difference
+from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, blots, log_radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import map_differences
 from metapp.apps.svbrdf_nonstationary.photo_sight import compare_photos
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import laplace_scales, negative_log_likelihood
@@ -32,7 +32,7 @@ class FeatureJudge(MapJudge):
         conditional mean, which is flat where the photograph does not tell.
         """
         maps, target, map_weights = answer.maps, unpack_maps(truth.maps), truth.map_weights
-        positions = seen.inputs[:, -2:]
+        positions = seen.positions
         differences = map_differences(maps, target)
         scale = laplace_scales(answer.deviation)[:, -1:].detach()
         squared = differences.normal.square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
@@ -45,7 +45,7 @@ class FeatureJudge(MapJudge):
         roughness = torch.where(is_known[:, 1], maps.roughness, target.roughness)
         # pictures are of the true normals: the median of a highlight lies at a slope even where the mean slope is 0
         shown_maps = Maps(maps.diffuse, specular, roughness, target.normal)
-        pictures = radiance_difference(shown_maps, target, truth.pairs, positions)
+        pictures = log_radiance_difference(shown_maps, target, truth.pairs, positions)
         photo_loss = compare_photos(render_photo(shown_maps, answer.flash, positions), seen.photo, {})
         loss = map_weights[:, 3] * (pictures + PHOTO_WEIGHT * photo_loss)
         likelihood = negative_log_likelihood(differences, answer.deviation) * map_weights.amin(1)

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.flash_rendering import camera_distance, texel_positions
+from metapp.appearance.flash import camera_distance, texel_positions
 from metapp.appearance.highlight import PROFILE_RINGS, ring_profile
 from metapp.appearance.svbrdf_maps import Maps, tilt_sine
 from metapp.apps.svbrdf_nonstationary.maps import encode_roughness

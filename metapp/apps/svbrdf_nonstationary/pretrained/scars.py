@@ -23,7 +23,7 @@ HIDDEN_TRUST = 0.4  # texels of less are said to lie beneath a highlight
 COLOUR_PARTS = ((1 / 3, 1 / 3, 1 / 3), (1.0, -1.0, 0.0), (-0.5, -0.5, 1.0))
 # Specular colours, medians of maps, up to which and from which on a material counts as a dielectric and as a metal: a
 # metal has no other light than its highlights, in which its colour is seen best.
-DIELECTRIC_F0, METAL_F0 = 0.08, 0.11
+MAX_DIELECTRIC_F0, MIN_METAL_F0 = 0.08, 0.11
 # How much larger than elsewhere, in squares, a change beneath a highlight must be: fills that always count leave no
 # scar on 13 photographs, but blur 48 materials of known maps by 2 % (log radiance).
 MIN_ENERGY_RATIO = 1.5
@@ -92,9 +92,9 @@ def remove_scars(maps: Maps, photo: Tensor, flash: Flash) -> Maps:
 
 
 def _dielectric_share(maps: Maps) -> Tensor:
-    """Return how surely materials are dielectrics, [T]: 1 up to DIELECTRIC_F0, 0 from METAL_F0 on."""
+    """Return how surely materials are dielectrics, [T]: 1 up to MAX_DIELECTRIC_F0, 0 from MIN_METAL_F0 on."""
     typical_f0 = maps.specular.mean(1).flatten(1).median(1).values
-    return ((METAL_F0 - typical_f0) / (METAL_F0 - DIELECTRIC_F0)).clamp(0, 1)
+    return ((MIN_METAL_F0 - typical_f0) / (MIN_METAL_F0 - MAX_DIELECTRIC_F0)).clamp(0, 1)
 
 
 def _find_scars(shades: Tensor, weights: Tensor) -> Tensor:

@@ -25,15 +25,17 @@ def estimate_flashes(maps: Maps, photos: Tensor, places: Tensor) -> Tensor:
         places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
 
     Returns:
-        Unbounded numbers [T, FLASH_NUMBERS, N] that stand for the flashes, see :func:`decode_flash`: all are 0 but the
+        Raw parameters [T, FLASH_NUMBERS, N] of the flashes, see :func:`decode_flash`: all are 0 but the
         last of each flash, its gain.
     """
     zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
-    log_gains = log_radiance(photos) - log_radiance(render_photos(maps, decode_flash(zeros.mT, places, camera="held")))
+    log_gains = log_floored_radiance(photos) - log_floored_radiance(
+        render_photos(maps, decode_flash(zeros.mT, places, camera="held"))
+    )
     log_gains = torch.where(photos > CLIPPED_LINEAR_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values
     return torch.cat([zeros[:, :-1], log_gains[:, None] / FLASH_LOG_GAIN], 1)
 
 
-def log_radiance(radiance: Tensor) -> Tensor:
+def log_floored_radiance(radiance: Tensor) -> Tensor:
     """Return the logs of radiance plus LIGHT_FLOOR."""
     return (radiance + LIGHT_FLOOR).log()

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, pad
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.several.parallax import read_displaced

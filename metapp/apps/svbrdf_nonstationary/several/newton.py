@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 from typing_extensions import override
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
@@ -125,8 +125,9 @@ def gauss_newton_change(
     The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
     smoothed near 0, sqrt(d^2 + s^2) - s. So each step solves a least-squares problem in which d^2 has the weight
     1 / sqrt(d^2 + s^2), by the present d (iteratively reweighted least squares). The right side of a texel's normal
-    equations is the gradient of :meth:`PhotoSetSight.loss` times 3 N, for N photographs with three colour channels
-    each: at each texel the loss takes the mean of 3 N differences, and least squares take their sum.
+    equations is 3 N times the gradient of :meth:`PhotoSetSight.loss`, whose weights of prior and curl are first raised
+    where photographs are noisy, see :func:`_weigh_by_noise`. For N photographs with three colour channels each the loss
+    takes the mean of 3 N differences at each texel, and least squares take their sum.
 
     Args:
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
@@ -138,7 +139,7 @@ def gauss_newton_change(
     """
     maps, flash, falloff, prior = (theta[key] for key in ("maps", "flash", "falloff", "prior"))
     settings, photos = _expect_noise(theta, batch, settings), batch["photos"]
-    photos = torch.where(batch["unobstructed"] > 0, photos, math.nan)
+    photos = torch.where(batch["shows_material"] > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
         picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
@@ -223,7 +224,7 @@ def _expect_noise(theta: Params, batch: Batch, settings: Params) -> Params:
     renderings = render_photos(maps, decode_flash(theta["flash"].mT, batch["places"], theta["falloff"], camera="held"))
     photos = batch["photos"]
     residual = ((renderings + LIGHT_FLOOR).log() - (photos + LIGHT_FLOOR).log()).flatten(1)
-    is_counted = (batch["unobstructed"] > 0).expand_as(photos).flatten(1)
+    is_counted = (batch["shows_material"] > 0).expand_as(photos).flatten(1)
     is_counted = is_counted & ((photos <= CLIPPED_LINEAR_VALUE).flatten(1) | (residual < 0))
     prior_log = math.log(GENERAL_NOISE_SHARE) + _find_noise_log(residual, is_counted)
     return {**settings, "noise": torch.logaddexp(2 * settings["noise"], 2 * prior_log) / 2}

@@ -18,7 +18,7 @@ from metapp.apps.svbrdf_nonstationary.several.stereo import (
     NOISE_VALUE,
     STEREO_CLIPPED_LINEAR_VALUE,
     photometric_stereo,
-    read_photos,
+    read_stereo,
 )
 
 MIN_PHOTOS = 5  # so that at least three remain, by which a Lambertian texel is known
@@ -103,7 +103,7 @@ def _compare_with_lambertian(photos: Tensor, places: Tensor, kept: Tensor) -> Te
     Returns:
         The logs, [S, N, 3, h, w], within -3 to 3.
     """
-    reading = read_photos(photos[None], places[None])
+    reading = read_stereo(photos[None], places[None])
     brightness = photos.mean(1, keepdim=True).clamp_min(NOISE_VALUE / 4)
     valid = 1 - 0.98 * (photos.amax(1, keepdim=True) > STEREO_CLIPPED_LINEAR_VALUE).to(photos)
     colour = photos.clamp_min(NOISE_VALUE / 4) / brightness * reading.grey[0]

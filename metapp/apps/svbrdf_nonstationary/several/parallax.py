@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, conv2d, grid_sample, interpolate, pad
 
-from metapp.appearance.flash_rendering import texel_positions
+from metapp.appearance.flash import texel_positions
 
 RELIEF_CHANNELS = 3  # of :meth:`Heights.describe`
 MIN_PX = 32  # sides of photographs below which nothing is searched

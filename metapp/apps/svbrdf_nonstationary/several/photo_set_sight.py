@@ -16,7 +16,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash_rendering import camera_position
+from metapp.appearance.flash import camera_position
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings, format_percent
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import mean_tilt_degrees
@@ -31,7 +31,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_materials
 from metapp.apps.svbrdf_nonstationary.several import stereo
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes, log_radiance
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes, log_floored_radiance
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.several.parallax import Heights, find_heights, remove_parallax
@@ -75,7 +75,7 @@ class SeenPhotos(NamedTuple):
         photos: all N photographs, [T, N, 3, H, W], averaged over areas to the size of the maps, without parallax, see
             :func:`remove_parallax`, and filled where they show something else than the material, see
             :func:`remove_obstructions`.
-        unobstructed: 1 where photographs show the material, else 0, [T, N, 1, H, W].
+        shows_material: 1 where photographs show the material, else 0, [T, N, 1, H, W].
         relief: what parallax tells of the heights of the surface, [T, RELIEF_CHANNELS, H, W]; see
             :meth:`Heights.describe`.
         places: the positions of camera and flash in half sides of the patch, [T, N, 2, 3].
@@ -83,7 +83,7 @@ class SeenPhotos(NamedTuple):
 
     photo: Tensor
     photos: Tensor
-    unobstructed: Tensor
+    shows_material: Tensor
     relief: Tensor
     places: Tensor
 
@@ -144,8 +144,8 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         """
         seen, (height, width) = self.gather(tasks), decoder.size
         photos = _pool_photos(seen.photos, (min(INITIAL_MAPS_PX, height), min(INITIAL_MAPS_PX, width)))
-        small = seen._replace(photos=photos, unobstructed=torch.ones_like(photos[:, :, :1]))
-        reading = stereo.read_photos(photos, seen.places)
+        small = seen._replace(photos=photos, shows_material=torch.ones_like(photos[:, :, :1]))
+        reading = stereo.read_stereo(photos, seen.places)
         slopes, diffuse, roughness_numbers, specular = reading.maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
@@ -177,8 +177,8 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         renderings differ from it; where it does not show the material, none does.
         """
         parameters, photos = self.settings(loss_parameters, answer.numbers), seen.photos
-        residual = log_radiance(photos) - log_radiance(render_photos(answer.maps, answer.flash))
-        residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual) * seen.unobstructed
+        residual = log_floored_radiance(photos) - log_floored_radiance(render_photos(answer.maps, answer.flash))
+        residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual) * seen.shows_material
         loss = round_absolute(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + parameters["flash"].exp() * answer.flash_numbers[:, :-1].square().mean((1, 2))
         loss = loss + FALLOFF_WEIGHT * answer.falloff.square().mean(1)
@@ -252,7 +252,7 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
                 *_unexplained_warnings(photos, rendering, shows_material),
             ]
             for photos, shows_material, normal, rendering in zip(
-                seen.photos, seen.unobstructed, answer.maps.normal, renderings, strict=True
+                seen.photos, seen.shows_material, answer.maps.normal, renderings, strict=True
             )
         ]
 

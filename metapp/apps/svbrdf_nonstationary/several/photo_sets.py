@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash_rendering import camera_distance
+from metapp.appearance.flash import camera_distance
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_GAIN, FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.places import held_places

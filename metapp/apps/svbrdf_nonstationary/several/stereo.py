@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash_rendering import directions_to_point, texel_positions
+from metapp.appearance.flash import directions_to_point, texel_positions
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, encode_diffuse
 
 PHOTO_INPUTS, TEXEL_INPUTS = 18, 12  # channels of readings that describe a photograph, and texels
@@ -38,7 +38,8 @@ class Reading(NamedTuple):
         texels: the inputs of each texel, [T, TEXEL_INPUTS, H, W].
         maps: unbounded numbers of the maps by photometric stereo, [T, 9, H, W].
         gains: logs of exposures, whose mean is 0, [T, N].
-        grey: brightness over the brightness of a flat white patch, [T, N, 1, H, W].
+        grey: brightness over the brightness of a flat white patch, [T, N, 1, H, W], after exposures and highlights are
+            divided out.
         tangents: x and y over z of the directions to the flash, [T, N, 2, H, W].
         level: brightness of texels that face the flash, [T, 1, H, W].
         weights: the weight of each photograph in each texel, [T, N, 1, H, W].
@@ -55,7 +56,7 @@ class Reading(NamedTuple):
 
 
 @torch.no_grad()
-def read_photos(photos: Tensor, places: Tensor) -> Reading:
+def read_stereo(photos: Tensor, places: Tensor) -> Reading:
     """Solve photometric stereo and exposures, and collect the inputs of the network.
 
     Args:
@@ -180,7 +181,7 @@ def stereo_residual(photos: Tensor, places: Tensor) -> Tensor:
         The mean of d^2 / (d^2 + RESIDUAL_SCALE^2) over pixels but those at the edges, [], where d is the difference of
         a pixel's brightness from the prediction, over the brightness of its texel.
     """
-    reading = read_photos(photos[None], places[None])
+    reading = read_stereo(photos[None], places[None])
     level, slopes = reading.level[0], reading.maps[0, : CHANNELS[0]]
     prediction = level * (1 + (slopes * reading.tangents[0]).sum(1, keepdim=True))
     squared = ((reading.grey[0] - prediction) / level)[..., EDGE_TEXELS:-EDGE_TEXELS, EDGE_TEXELS:-EDGE_TEXELS].square()

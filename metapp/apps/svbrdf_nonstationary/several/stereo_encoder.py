@@ -25,7 +25,7 @@ from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes
 from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
 from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import SeenPhotos
-from metapp.apps.svbrdf_nonstationary.several.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_photos
+from metapp.apps.svbrdf_nonstationary.several.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_stereo
 from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelMaps
 from metapp.learning.composed import Encoder
 from metapp.learning.task import Batch, Params
@@ -56,7 +56,7 @@ def predict_maps(params: Params, reading: Reading, relief: Tensor) -> tuple[Tens
 
     Args:
         params: the parameters that `init` draws.
-        reading: the solution by photometric stereo, which `stereo.read_photos` returns.
+        reading: the solution by photometric stereo, which `stereo.read_stereo` returns.
         relief: what parallax tells of heights, [T, RELIEF_CHANNELS, H, W].
 
     Returns:
@@ -76,9 +76,10 @@ def predict_maps(params: Params, reading: Reading, relief: Tensor) -> tuple[Tens
     for level in reversed(range(len(WIDTHS) - 1)):
         x = apply_block(params, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
     x = torch.cat([x, texel_inputs], 1)
-    change, gates = apply_pointwise(params, "maps", x).split((sum(CHANNELS), 2), 1)
+    # checkpoints have one more channel, which is not used
+    change, gate, _ = apply_pointwise(params, "maps", x).split((sum(CHANNELS), 1, 1), 1)
     slopes, others = reading.maps.split((CHANNELS[0], sum(CHANNELS[1:])), 1)
-    slopes = 2 * torch.sigmoid(gates[:, :1]) * slopes + 0.5 * change[:, : CHANNELS[0]]
+    slopes = 2 * torch.sigmoid(gate) * slopes + 0.5 * change[:, : CHANNELS[0]]
     maps = torch.cat([slopes, others + 2 * change[:, CHANNELS[0] :]], 1)
     return maps, apply_pointwise(params, "deviation", x).clamp(-8, 4)
 
@@ -99,7 +100,7 @@ class StereoEncoder(Encoder[SeenPhotos]):
     @override
     def __call__(self, encoder: Params, encoder_input: Batch, decoder: TexelMaps) -> Params:
         """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
-        reading = read_photos(encoder_input["photos"], encoder_input["places"])
+        reading = read_stereo(encoder_input["photos"], encoder_input["places"])
         maps, log_scales = predict_maps(encoder, reading, encoder_input["relief"])
         # General predicts one scale for each kind of map: all numbers of that kind share it.
         expanded_scales = [

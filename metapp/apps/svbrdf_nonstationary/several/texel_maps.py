@@ -14,12 +14,12 @@ from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash, decode_flash
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
 from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialDecoder
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import log_radiance
+from metapp.apps.svbrdf_nonstationary.several.flash_gains import log_floored_radiance
 from metapp.learning.task import Params
 
 
 class TexelFit(NamedTuple):
-    """Maps of texels, the flashes of N photographs, and the unbounded numbers that stand for them.
+    """Maps of texels, the flashes of N photographs, and the raw parameters of both.
 
     Attributes:
         maps: the maps, [T, C, h, w].
@@ -109,7 +109,7 @@ class TexelMaps(MaterialDecoder[TexelFit, Any]):
         size = photo.shape[-2:]
         if size == theta["maps"].shape[-2:]:
             return decode_maps(theta["maps"])
-        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), log_radiance(photo)
+        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), log_floored_radiance(photo)
         coarse_logs = adaptive_avg_pool2d(logs, self.size)
         log_detail = logs - interpolate(coarse_logs, size, mode="bicubic")
         return maps._replace(diffuse=(maps.diffuse * log_detail.exp()).clamp(0, 1))

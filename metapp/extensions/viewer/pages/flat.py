@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, stretch_to_unit_range
-from metapp.appearance.flash_rendering import relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
 from metapp.appearance.quilting import choose_block_size, quilt_pixel_numbers
 from metapp.appearance.surface import Surface
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
@@ -41,7 +41,7 @@ class LitPicture(NamedTuple):
     Attributes:
         light_position: position of the flash, [3].
         camera_position: position of the camera, [3].
-        gain: intensity of the flash, see :func:`metapp.appearance.flash_rendering.render_maps`.
+        gain: intensity of the flash, see :func:`metapp.appearance.flash.render_maps`.
         photo: the photograph that the picture is compared with, linear [3, H, W] in [0, 1].
         shown_share: share of the maps' side that the picture shows, from the upper left corner; 1 shows all.
     """
@@ -162,7 +162,7 @@ def make_surface_view(
     Args:
         surface: the fit.
         lit_pictures: the pictures that are compared with photographs, or none.
-        falloff: falloff of flashes in pictures, see :func:`metapp.appearance.flash_rendering.render_maps`.
+        falloff: falloff of flashes in pictures, see :func:`metapp.appearance.flash.render_maps`.
         reference: the true maps, if they are known.
         largest: texels a side at most; larger maps are reduced.
 
@@ -250,13 +250,13 @@ def _size_within(largest: int, values: Tensor) -> tuple[int, int]:
 
 def _reduce_surface(surface: Surface, largest: int) -> Surface:
     """Return a surface reduced to at most `largest` texels a side, by means over texels."""
-    size = _size_within(largest, surface.base)
+    size = _size_within(largest, surface.colour)
     if size == surface.size or surface.maps is None:
         return surface
     maps, height = _resize_maps(surface.maps, size), surface.height
     if height is not None:
         height = adaptive_avg_pool2d(height, size) * (size[1] / surface.size[1])  # heights are in sides of texels
-    return surface._replace(base=maps.diffuse, maps=maps, height=height)
+    return surface._replace(colour=maps.diffuse, maps=maps, height=height)
 
 
 def _resize_maps(maps: Maps, size: tuple[int, int]) -> Maps:

@@ -1,5 +1,5 @@
 // The viewer of flat materials: maps on shapes, and as in metapp's pictures (metapp.appearance.surface_view,
-// metapp.appearance.flash_rendering).
+// metapp.appearance.flash).
 //
 // pictures: fit_diffuse and fit_specular at gamma 2.2, fit_detail (x and y of normals, 0 at 128, and roughness), height from the
 // lowest to the highest of facts.heights, in texture widths; reference_diffuse and so on if the true maps are known; photo_1, ...
@@ -53,7 +53,7 @@ void at_point(vec2 uv) {
   if (hasReference) referenceAt = texel(reference_diffuse, reference_specular, reference_detail);
   else referenceAt = fitAt;
 }
-vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash_rendering.evaluate_brdf times the cosine
+vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.evaluate_brdf times the cosine
   float incident = dot(wi, m.n), outgoing = dot(wo, m.n), length_ = length(wi + wo), alpha = m.roughness * m.roughness;
   if (incident <= 0.0) return vec3(0.0);
   vec3 body = m.diffuse * (1.0 - m.specular) / PI;

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash_rendering import (
+from metapp.appearance.flash import (
     camera_distance,
     camera_position,
     evaluate_brdf,
