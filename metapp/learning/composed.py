@@ -147,9 +147,12 @@ class Sight(ABC, Generic[Answer, Seen]):
         """The forms of the parameters that fits have besides those that the decoder draws, or in another shape."""
         return {}
 
-    @abstractmethod
     def complete(self, answer: Answer, seen: Seen) -> Any:
-        """Return what is shown and judged of answers: with that which is seen better than it is fitted."""
+        """Return what is shown and judged of answers: with that which is seen better than it is fitted.
+
+        The default is the answer itself.
+        """
+        return answer
 
 
 class Judge(ABC, Generic[Answer, Seen, Truth]):

@@ -81,10 +81,6 @@ class EvenSight(Sight[Function, SeenSamples]):
         """Return the mean squared difference, [T]."""
         return (answer(seen.x) - seen.y).square().mean((1, 2))
 
-    @override
-    def complete(self, answer: Function, seen: SeenSamples) -> Function:
-        return answer
-
 
 @dataclass(frozen=True)
 class OddJudge(Judge[Function, SeenSamples, HeldOutSamples]):

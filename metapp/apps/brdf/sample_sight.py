@@ -86,10 +86,6 @@ class SampleSight(Sight[Reflectance, Any]):
         """Return initial values of log `smoothing`, [steps], and `weights` [steps, 8]."""
         return initial_smoothing(steps, INITIAL_SMOOTHING) | {"weights": torch.zeros(steps, WEIGHT_KNOTS)}
 
-    @override
-    def complete(self, answer: Reflectance, seen: Any) -> Reflectance:
-        return answer
-
 
 @dataclass(frozen=True)
 class DistinctSampleSight(SampleSight):

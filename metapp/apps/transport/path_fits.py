@@ -81,10 +81,6 @@ class PathSight(Sight[PathDensity, SeenPaths]):
         film, directions = answer(seen.samples.mT.contiguous())
         return -(film + directions).mean(1)
 
-    @override
-    def complete(self, answer: PathDensity, seen: SeenPaths) -> PathDensity:
-        return answer
-
 
 @dataclass(frozen=True)
 class PathJudge(Judge[PathDensity, SeenPaths, HeldOutPaths]):
