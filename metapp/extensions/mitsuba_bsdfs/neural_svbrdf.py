@@ -2,9 +2,8 @@
 
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
-It shades as `metapp.appearance.flash.evaluate_brdf` does. The specular texture is F0 in colour, which
-Mitsuba's `principled` takes as one number only. A map of normals is not among its textures: wrap it into Mitsuba's
-`normalmap`.
+It shades as `metapp.appearance.flash.evaluate_brdf` does. The specular texture is F0 in colour, which Mitsuba's
+`principled` takes as one number only. A map of normals is not among its textures: wrap it into Mitsuba's `normalmap`.
 """
 
 from __future__ import annotations
