@@ -30,6 +30,7 @@ from metapp.apps.illumination.map_augmentation import (
 )
 from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.mirror import CLIPPED_LIGHT_FACTOR
+from metapp.apps.illumination.radiance_losses import describe_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.field import LocalField
@@ -85,7 +86,7 @@ def exact(app: Illumination, tasks: Tasks) -> tuple[Illumination, Params]:
 
 def photo_batch(photos: Tensor) -> Batch:
     """What fits see of photographs of spheres that are no mirrors."""
-    return BallSight().observe(torch.zeros(len(photos), 3, 8, 16), photos)._asdict()
+    return BallSight().observe(describe_maps(torch.zeros(len(photos), 3, 8, 16)), photos)._asdict()
 
 
 # What the encoder sees

@@ -18,6 +18,7 @@ from metapp.apps.illumination.ball_encoder import BallEncoder
 from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField
 from metapp.apps.illumination.map_augmentation import vary_maps
+from metapp.apps.illumination.radiance_losses import describe_maps
 from metapp.apps.illumination.relit_judge import RelitJudge
 from metapp.apps.illumination.spheres import SPHERE_NAMES
 from metapp.learning.app import ErrorMeasure
@@ -79,4 +80,5 @@ class Illumination(ComposedApp):
         """Return augmented maps, and new photographs of spheres under them. Raises ValueError if a task has no map."""
         maps, photo_px = vary_maps(self.judge.require(tasks).map, rng), tasks.data["photo"].shape[-1]
         photos = (photograph_spheres(maps, rng, photo_px) * 255).round().to(torch.uint8)
-        return tasks.make_variants(self.sight.observe(maps, photos)._asdict() | self.judge.describe(maps)._asdict())
+        truth = describe_maps(maps)
+        return tasks.make_variants(self.sight.observe(truth, photos)._asdict() | truth._asdict())

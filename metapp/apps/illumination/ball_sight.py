@@ -30,7 +30,7 @@ from metapp.apps.illumination.mirror import (
     scale_to_seen,
     shows_mirror,
 )
-from metapp.apps.illumination.radiance_losses import INITIAL_SMOOTHING
+from metapp.apps.illumination.radiance_losses import INITIAL_SMOOTHING, TrueMap
 from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task
 
@@ -67,8 +67,8 @@ class BallSight(LightSight[SeenBall]):
         return SeenBall(task.data["photos"][0], *read_mirror_light(task, decoder.network.height, decoder.network.width))
 
     @override
-    def observe(self, maps: Tensor, photos: Tensor) -> SeenBall:
-        return SeenBall(photos, torch.zeros_like(maps), torch.zeros_like(maps[:, :2]))
+    def observe(self, truth: TrueMap, photos: Tensor) -> SeenBall:
+        return SeenBall(photos, torch.zeros_like(truth.map), torch.zeros_like(truth.map[:, :2]))
 
     @override
     def loss(self, answer: Lighting, seen: SeenBall, loss_parameters: Params) -> Tensor:

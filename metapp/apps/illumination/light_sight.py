@@ -9,6 +9,7 @@ from torch import Tensor
 
 from metapp.appearance.pictures import PictureComparison, VisibleData
 from metapp.apps.illumination.lighting import Lighting
+from metapp.apps.illumination.radiance_losses import TrueMap
 from metapp.learning.composed import Sight
 from metapp.learning.task import Task
 
@@ -19,11 +20,11 @@ class LightSight(Sight[Lighting, Seen]):
     """The base of the sights of light. Whatever fits see has `photo`, which General's encoder reads."""
 
     @abstractmethod
-    def observe(self, maps: Tensor, photos: Tensor) -> Seen:
-        """Return what fits see of maps [T, 3, H, W] of the size of fits, and of spheres under them.
+    def observe(self, truth: TrueMap, photos: Tensor) -> Seen:
+        """Return what fits see of maps, and of spheres under them.
 
         Args:
-            maps: linear radiance of mean luminance 1.
+            truth: T maps.
             photos: photographs of the spheres, none of them a mirror, uint8 [T, 3, S, S].
         """
 

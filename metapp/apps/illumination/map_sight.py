@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.latlong import resample_maps
 from metapp.appearance.pictures import VisibleData
 from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.radiance_losses import (
     INITIAL_SMOOTHING,
+    TrueMap,
     compare_reflected_radiance,
     compare_texels,
-    reflect_radiance,
+    prepare_map,
 )
 from metapp.apps.illumination.suns import SUN_SPECS, find_suns, split_suns
 from metapp.learning.rounding import initial_smoothing
@@ -61,13 +61,12 @@ class MapSight(LightSight[SeenMap]):
                 f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
                 "ball; if it shows a surface, take the application texture, svbrdf_stationary or svbrdf_nonstationary."
             )
-        network = decoder.network
-        maps = resample_maps(task.data["map"][None].float(), network.height, network.width)
-        return SeenMap(*(tensor[0] for tensor in self.observe(maps, task.data["photos"][:1])))
+        seen = self.observe(prepare_map(task, decoder.network), task.data["photos"][:1])
+        return SeenMap(*(tensor[0] for tensor in seen))
 
     @override
-    def observe(self, maps: Tensor, photos: Tensor) -> SeenMap:
-        return SeenMap(photos, maps, reflect_radiance(maps), find_suns(maps))
+    def observe(self, truth: TrueMap, photos: Tensor) -> SeenMap:
+        return SeenMap(photos, *truth, find_suns(truth.map))
 
     @override
     def task_parameters(self, tasks: Tasks, decoder: LightField) -> Params:

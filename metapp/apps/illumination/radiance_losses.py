@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from torch import Tensor
 
-from metapp.appearance.latlong import solid_angles
+from metapp.appearance.latlong import resample_maps, solid_angles
 from metapp.apps.illumination.spheres import surface_transfer
 from metapp.learning.rounding import smooth_absolute
-from metapp.learning.task import Params
+from metapp.learning.task import Params, Task
+from metapp.networks.field import LocalField
 
 RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
 INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
 REFLECTED_RADIANCE_FLOOR = 0.02  # radiance that a white surface reflects under such a map, below which its log is flat
+
+
+class TrueMap(NamedTuple):
+    """A map with which fitted maps are compared.
+
+    Attributes:
+        map: linear radiance [T, 3, H, W], of mean luminance 1, at the size of fits.
+        reflected: the radiance that surfaces reflect under the map, [T, 3, S], see :func:`reflect_radiance`.
+    """
+
+    map: Tensor
+    reflected: Tensor
+
+
+def describe_maps(maps: Tensor) -> TrueMap:
+    """Return maps [T, 3, H, W] of the size of fits with the radiance that surfaces reflect under them."""
+    return TrueMap(maps, reflect_radiance(maps))
+
+
+def prepare_map(task: Task, network: LocalField) -> TrueMap:
+    """Return the map of one task, at the size of a network's maps, with a task axis of length 1."""
+    return describe_maps(resample_maps(task.data["map"][None].float(), network.height, network.width))
 
 
 def reflect_radiance(maps: Tensor) -> Tensor:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.latlong import resample_maps
 from metapp.apps.illumination.ball_sight import SeenBall, compare_display_values
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.map_sight import SeenMap
-from metapp.apps.illumination.radiance_losses import compare_reflected_radiance, compare_texels, reflect_radiance
+from metapp.apps.illumination.radiance_losses import (
+    TrueMap,
+    compare_reflected_radiance,
+    compare_texels,
+    prepare_map,
+)
 from metapp.apps.illumination.spheres import FACING_SURFACES, MIRRORING_SURFACES, sphere_errors
 from metapp.learning.composed import Judge
 from metapp.learning.task import Task
@@ -26,18 +29,6 @@ LOGS_WEIGHT = 0.2  # of the log radiance that all surfaces reflect
 PHOTO_WEIGHT = 0.3  # of the photograph
 
 
-class TrueMap(NamedTuple):
-    """A map that fits are judged by.
-
-    Attributes:
-        map: linear radiance [T, 3, H, W], of mean luminance 1, at the size of fits.
-        reflected: the radiance that surfaces reflect under the map, [T, 3, S], see :func:`reflect_radiance`.
-    """
-
-    map: Tensor
-    reflected: Tensor
-
-
 @dataclass(frozen=True)
 class RelitJudge(Judge[Lighting, SeenMap | SeenBall, TrueMap]):
     """The judge of maps by a second scene and by spheres under them."""
@@ -48,13 +39,7 @@ class RelitJudge(Judge[Lighting, SeenMap | SeenBall, TrueMap]):
     def prepare(self, task: Task, decoder: LightField) -> TrueMap | None:
         if "map" not in task.data:
             return None
-        network = decoder.network
-        truth = self.describe(resample_maps(task.data["map"][None].float(), network.height, network.width))
-        return TrueMap(*(tensor[0] for tensor in truth))
-
-    def describe(self, maps: Tensor) -> TrueMap:
-        """Return the truth that maps [T, 3, H, W] of the size of fits are."""
-        return TrueMap(maps, reflect_radiance(maps))
+        return TrueMap(*(tensor[0] for tensor in prepare_map(task, decoder.network)))
 
     @override
     def errors(self, prediction: Tensor, seen: SeenMap | SeenBall, truth: TrueMap) -> dict[str, Tensor]:

@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.lighting import LightField
 from metapp.apps.illumination.map_sight import MapSight
+from metapp.apps.illumination.radiance_losses import describe_maps
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, at_step, learn_differentiably
 from metapp.learning.app import App
@@ -42,7 +43,7 @@ def single_task_parameters(app: App) -> Params:
 
 def batches_for(app: Illumination, randn: Callable[..., Tensor], count: int) -> list[dict[str, Tensor]]:
     photos = torch.zeros(TASKS, 3, 64, 64)  # which fits of maps do not see
-    return [app.sight.observe(torch.exp(randn(TASKS, 3, 8, 16)), photos)._asdict() for _ in range(count)]
+    return [app.sight.observe(describe_maps(torch.exp(randn(TASKS, 3, 8, 16))), photos)._asdict() for _ in range(count)]
 
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
