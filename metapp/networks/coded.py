@@ -67,6 +67,11 @@ def select_reader(encoder: Params) -> Params:
     return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
 
 
+def select_decoder(encoder: Params) -> Params:
+    """Select the parameters that all tasks share, by name, from General's: those called `decoder.<name>`."""
+    return {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
+
+
 def add_decoder(predicted: Params, encoder: Params) -> Params:
     """Add General's decoder, whose parameters are equal for all tasks, to predicted parameters.
 
@@ -77,6 +82,6 @@ def add_decoder(predicted: Params, encoder: Params) -> Params:
     Returns:
         All parameters of the network, [T, ...].
     """
-    shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
+    shared = select_decoder(encoder)
     count = len(next(iter(predicted.values())))
     return predicted | {key: value.expand(count, *value.shape) for key, value in shared.items()}

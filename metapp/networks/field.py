@@ -81,6 +81,11 @@ class LocalField(NamedTuple):
         """
         return self.evaluate(theta, self.interpolate_code(theta, 0, self.height), places)
 
+    def resize(self, z: Tensor, places: Tensor) -> LocalField:
+        """Return the field with the grid of codes z [T, code, r, c] and the size of places [T, inputs, h, w]."""
+        (rows, columns), (height, width) = z.shape[-2:], places.shape[-2:]
+        return self._replace(rows=rows, columns=columns, height=height, width=width)
+
     def interpolate_code(self, theta: Params, first: int, end: int) -> Tensor:
         """Interpolate the code to the texels of rows `first` to `end` - 1: [T, code, end - first, width]."""
         z = self.gain * theta["z"]

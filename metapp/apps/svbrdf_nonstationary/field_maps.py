@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,12 +85,27 @@ class FieldMaps(MaterialDecoder[PhotographedMaps, Any]):
 
         Maps that are too large for one pass are made by rows: a layer of 2048 x 2048 texels takes 0.5 GB.
         """
-        height, width = photo.shape[-2:]
-        network = self.network._replace(height=height, width=width)
-        if torch.is_grad_enabled() or height * width <= STRIP_TEXELS:
-            return self.finish_maps(network(theta, pixel_inputs(photo)))
-        strips = [self.finish_maps(rows) for rows in evaluate_by_rows(network, theta, pixel_inputs(photo))]
+        inputs = pixel_inputs(photo)
+        if torch.is_grad_enabled() or inputs[0, 0].numel() <= STRIP_TEXELS:
+            return self.finish_maps(self.evaluate(theta, inputs))
+        strips = [self.finish_maps(rows) for rows in self.evaluate_by_rows(theta, inputs)]
         return Maps(*(torch.cat(strip_maps, -2) for strip_maps in zip(*strips, strict=True)))
+
+    def evaluate(self, theta: Params, inputs: Tensor) -> Tensor:
+        """Evaluate raw parameters in all pixels.
+
+        Args:
+            theta: the parameters of T fields, whose codes have any size.
+            inputs: what fields read of each pixel, [T, PIXEL_INPUTS, h, w].
+
+        Returns:
+            Raw parameters of maps, [T, 9, h, w].
+        """
+        return self.network.resize(theta["z"], inputs)(theta, inputs)
+
+    def evaluate_by_rows(self, theta: Params, inputs: Tensor) -> Iterator[Tensor]:
+        """Yield raw parameters from the top, some rows [T, 9, r, w] at a time; see :meth:`evaluate`."""
+        return evaluate_by_rows(self.network.resize(theta["z"], inputs), theta, inputs)
 
     def finish_maps(self, raw: Tensor) -> Maps:
         """Return the maps [T, C, h, w] of raw parameters [T, 9, h, w], the outputs of fields."""

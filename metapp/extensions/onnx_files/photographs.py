@@ -13,7 +13,6 @@ from typing_extensions import override
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
-from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
 from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
 
@@ -60,12 +59,11 @@ class MaterialModule(torch.nn.Module):
     @override
     def forward(self, photo: Tensor) -> tuple[Tensor, ...]:
         linear = srgb_to_linear(photo)
-        seen = SeenPhoto(linear, linear.new_zeros(1, 1))
+        seen = self.app.sight.seen_type(linear, linear.new_zeros(1, 1))
         encoder = {name: self.encoder[key] for key, name in self.names.items()}
         decoder = self.decoder
         theta = self.app.encode(encoder, self.app.encoder.select_input(seen))
-        code = decoder.network.gain * theta["z"]  # one in each pixel
-        maps = decoder.finish_maps(decoder.network.evaluate(theta, code, seen.inputs))
+        maps = decoder.finish_maps(decoder.evaluate(theta, seen.inputs))
         return tuple(getattr(maps, name) for name in MODEL_OUTPUTS)
 
     def reads_any_size(self) -> bool:

@@ -13,7 +13,6 @@ from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.features import VGG_BLOCKS
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.field_maps import field_of
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanField
 from metapp.apps.svbrdf_nonstationary.pretrained.recipe import PRETRAINED, of_features
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Tasks
@@ -21,7 +20,7 @@ from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
 SIDE = 32  # px of the maps
-RECIPE = replace(PRETRAINED, app=of_features(MeanField(*field_of(SIDE, 8))))
+RECIPE = replace(PRETRAINED, app=of_features(field_of(SIDE, 8)))
 
 
 @pytest.fixture(scope="module")

@@ -16,35 +16,36 @@ from metapp.apps.svbrdf_nonstationary.field_judge import FieldJudge
 from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, pixel_inputs
-from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto, compare_photos
+from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, compare_photos
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
-    FULL_APP,
-    FULL_SHARE,
-    GUESS_CHANNELS,
-    LOG_FLOOR,
-    OVERVIEW_PX,
-    PARTS,
     FeatureEncoder,
     _balance,
-    describe_patch,
-    full_encoder,
     init_reader,
     read_photos,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
-from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight, FitPhoto, TrainingPhoto
 from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
     HALVED_SLOPE,
+    PARTS,
+    SECOND_SHARE,
     SLOPE_GAIN,
     MeanFieldMaps,
     UncertainMaps,
 )
+from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
+    FULL_APP,
+    GUESS_CHANNELS,
+    LOG_FLOOR,
+    OVERVIEW_PX,
+    describe_patch,
+    load_full_general,
+)
 from metapp.apps.svbrdf_nonstationary.pretrained.scars import trust_texels
 from metapp.learning.learn import descend, final_item, task_loss
 from metapp.learning.rules import fixed_adam, outer_adam
-from metapp.learning.task import Batch, Tasks
-from metapp.networks.field import LocalField
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.adam import General
 from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import fit_options
@@ -167,17 +168,17 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: SvbrdfNonstatio
     encoder = app.init_encoder(rng)
     photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
     inputs = pixel_inputs(photo)
-    theta = app.encode(encoder, app.encoder.select_input(SeenPhoto(photo, torch.zeros(1, 1))))
+    theta = app.encode(encoder, app.encoder.select_input(FitPhoto(photo, torch.zeros(1, 1))))
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
-    small_network = LocalField(*app.decoder.network)._replace(**size)
+    small_network = app.decoder.network._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
     first = small_network(alone | {"z": theta["z"][:, : small_network.code]}, inputs)
-    full = full_encoder(torch.device("cpu"))
+    full = load_full_general(torch.device("cpu"))
     beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
     second = FULL_APP.decoder.network._replace(**size)(beside | {"z": theta["z"][:, small_network.code :]}, inputs)
-    joined = app.decoder.network._replace(**size)(theta, inputs)
+    joined = app.decoder.evaluate(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, FULL_SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SECOND_SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
 
 
 def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: SvbrdfNonstationary) -> None:
@@ -208,7 +209,7 @@ def test_training_sees_raw_maps_and_fits_see_processed_ones(
     """Training on processed maps would undo the processing."""
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     seen = app.sight.gather(tasks)
-    raw = app.decoder.network(theta, pixel_inputs(seen.photo))
+    raw = app.decoder.evaluate(theta, pixel_inputs(seen.photo))
     for maps, expected in (
         (app.decoder.decode_for_training(theta, seen).maps, decode_maps(raw)),
         (app.decoder.decode_for_steps(theta, seen).maps, app.decoder.finish_maps(raw)),
@@ -260,32 +261,39 @@ def test_steps_by_a_photo_keep_the_normals(app: SvbrdfNonstationary, tasks: Task
 # What General reads of a photograph
 
 
+def read_whole_photos(reader: Params, photos: Tensor, patch: Params | None = None) -> Params:
+    """What is read of photos of whole patches."""
+    positions = texel_positions(*photos.shape[-2:])[None]
+    return read_photos(reader, photos, positions, describe_patch(photos) if patch is None else patch)
+
+
 DIGEST = "bb6b69ff3905"  # the digest of General by "full" that the checkpoint's was measured beside
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
-    decoder = init_reader(rng, 5)
+    reader = init_reader(rng, 5)
     for side in (32, 64):
-        read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
-        assert read["z"].shape == (2, 5 + FULL_APP.decoder.network.code, side, side)
+        read = read_whole_photos(reader, torch.rand(2, 3, side, side, generator=rng))
+        assert read["z"].shape == (2, 5, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
-        assert read["flash"].shape == (2, FLASH_NUMBERS)
+        assert read["shown"].shape == (2,)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
-        read_photos(decoder, torch.rand(1, 3, 44, 44))
+        read_whole_photos(reader, torch.rand(1, 3, 44, 44))
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
+def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(app: SvbrdfNonstationary, rng: Generator) -> None:
     """The flash is predicted from the whole patch, since it lies outside most windows."""
-    decoder, photos = init_reader(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
+    encoder, photos = app.init_encoder(rng), torch.rand(2, 3, SIDE, SIDE, generator=rng) ** 2
     side = FULL_APP.decoder.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
     with torch.no_grad():
-        seen = FULL_APP.decoder.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
-    torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
-    window = photos[..., :16, :16], texel_positions(32, 32)[None, :, :16, :16]
-    torch.testing.assert_close(read_photos(decoder, *window, describe_patch(photos))["flash"], seen)
+        expected = FULL_APP.encode(load_full_general(photos.device), {"photo": large})["flash"]
+    whole = FitPhoto(photos, torch.zeros(2, 1))
+    window = TrainingPhoto(photos[..., :16, :16], pixel_inputs(photos)[..., :16, :16], **describe_patch(photos))
+    for seen in (whole, window):
+        torch.testing.assert_close(app.encode(encoder, app.encoder.select_input(seen))["flash"], expected)
 
 
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
@@ -329,13 +337,13 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
 
 def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
     """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was measured beside."""
-    assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "measure pretrained beside this General"
+    assert tensor_digest(load_full_general(torch.device("cpu"))) == DIGEST, "measure pretrained beside this General"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
     guess = describe_patch(photo)["guess"]
     full = recipes_of(APP, "photo")["full"].app
     assert isinstance(full, SvbrdfNonstationary)
     with torch.no_grad():
-        maps = full.decoder.make_maps(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
+        maps = full.decoder.make_maps(full.encode(load_full_general(torch.device("cpu")), {"photo": photo}), photo)
     assert guess.shape == (1, GUESS_CHANNELS, 256, 256)
     torch.testing.assert_close(guess[:, :1], maps.roughness)
     torch.testing.assert_close(guess[:, 1:].exp() - LOG_FLOOR, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
@@ -351,5 +359,5 @@ def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> Non
     patch = describe_patch(photo)
     for parameters, same in ((untrained, True), (trained, False)):
         changed = patch | {"guess": 1 - patch["guess"]}
-        read, other = (read_photos(parameters, photo, patch=patch_photo)["z"] for patch_photo in (patch, changed))
+        read, other = (read_whole_photos(parameters, photo, patch_photo)["z"] for patch_photo in (patch, changed))
         assert torch.allclose(read, other, atol=1e-5) == same

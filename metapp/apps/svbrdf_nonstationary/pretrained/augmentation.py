@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, find_slopes, normalise, pixel_inputs, pool_maps
-from metapp.apps.svbrdf_nonstationary.pretrained.encoder import describe_patch
+from metapp.apps.svbrdf_nonstationary.pretrained.patch import describe_patch
 from metapp.apps.svbrdf_nonstationary.variants import (
     POLISHED_SHARE,
     RESTYLED_SHARES,

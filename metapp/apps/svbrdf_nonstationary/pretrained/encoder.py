@@ -1,79 +1,65 @@
 """General's encoder of a flash photograph: a small reader of frozen features of VGG-16.
 
 Features that know real pictures tell relief from colour where an encoder that has seen drawn materials alone does not.
-But features look at pixels, and a highlight is as large as the patch: so gloss is read off a small picture of all of
-the patch, and off the maps that General by the recipe "full" makes, which was trained on ten times as many materials.
-The trained part is the reader; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
+Beside features it reads the description of the whole patch. The trained part is the reader; VGG's weights are those
+that `metapp data vgg` keeps, in no checkpoint.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, interpolate, leaky_relu, pad
+from torch.nn.functional import avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions, load_features, uses_bfloat16, vgg_weights_path
 from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.encoder import (
-    BASE_TEXELS,
-    ENCODER_LEAKY_SLOPE,
-    apply_block,
-    apply_pointwise,
-    upsample,
-)
-from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
+from metapp.apps.svbrdf_nonstationary.encoder import ENCODER_LEAKY_SLOPE, apply_block, apply_pointwise, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
-from metapp.apps.svbrdf_nonstationary.photo_sight import SeenPhoto
+from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
+    PARTS,
+    SECOND_SHARE,
+    join_fields,
+    mark_second,
+    scale_slopes,
+    select_second,
+)
+from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
+    GUESS_CHANNELS,
+    OVERVIEW_PX,
+    PATCH_KEYS,
+    SIDE_STEP_PX,
+    full_field_weights,
+)
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     add_polish,
-    describe_highlight,
     predict_roughness,
     roughness_shift,
     scale_roughness,
 )
-from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.composed import Encoder
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.field import LocalField
 from metapp.networks.layers import add_layer
-from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
 
 # Layers of VGG-16, each half as fine as the one before, and their numbers of channels
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}
 WIDTHS = (32, 64, 96, 128)  # channels of the reader's levels, the finest first
-SIDE_STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are multiples of it
 VGG_MEAN, GAMMA = 0.35, 2.2  # linear mean, and gamma, of the photographs that VGG sees
 READER_PIXEL_INPUTS = 12  # numbers of a pixel that it reads beside features
 MIN_TINT = 0.2  # a channel's mean over the mean of all channels; darker channels are brightened less
 MIN_BRIGHTNESS = 1e-3  # linear mean, 1 is white, of photographs that are nearly black
-PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `map_differences`
-INITIAL_DEVIATION, MIN_DEVIATION = 0.1, 0.01  # predicted errors of maps: before training, and the least
-UNKNOWN_LOG = 10.0  # log of a predicted error where nothing is known of it
+INITIAL_DEVIATION = 0.1  # predicted errors of maps before training
 DEVIATION_LEVEL = 2  # the level of the reader that predicts errors, at a quarter of the photograph's side
-OVERVIEW_PX = 32  # side of the overview, in which highlights have one size whatever a photograph's resolution
-OVERVIEW_POOLING = 4  # the side of its first level over that of its second
-OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
-GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
-LOG_FLOOR = 0.01  # reflectance that is added before logs
-FULL_APP = cast("SvbrdfNonstationary", PHOTO_RECIPES[FULL_RECIPE_NAME].app)
-FULL_DECODER = cast("FieldMaps", FULL_APP.decoder)
-FULL_FIELD = FULL_DECODER.network
-PATCH_KEYS = ("overview", "highlight", "guess", "code", "flash")  # what `describe_patch` returns
-DECODER_PREFIX = "decoder."  # of names of General's parameters that tasks share
-FULL_PREFIX = "full."  # of names of the parameters of the field of the recipe "full"
-FULL_SHARE = 0.5  # weight of that field in diffuse colour, roughness and specular colour; it has none in slopes
-INITIAL_SLOPE_GAIN = 0.05  # factor of slopes of untrained fields, whose maps are nearly flat
+OVERVIEW_POOLING = 4  # the side of the overview's first level over the side of its second level
+OVERVIEW_WIDTHS = (32, 48)  # channels of the levels of the overview
 
 
 @dataclass(frozen=True)
@@ -87,42 +73,42 @@ class FeatureEncoder(Encoder[Any]):
     @override
     def init(self, rng: Generator, decoder: Any) -> Params:
         """Draw the reader and the first field, whose maps are nearly flat: training begins without relief."""
-        first_field = LocalField(*decoder.network)
+        first_field: LocalField = decoder.network
         return join_encoder(init_reader(rng, first_field.code), scale_slopes(first_field.init(rng, 1)), ("z",))
 
     @override
     def select_input(self, seen: Any) -> Batch:
-        """Select the photograph, and describe it.
+        """Select the photograph, describe its patch, and add the weights of the second field.
 
         Returns:
-            `photo` and `inputs`; `camera_height`; `shows_final_slopes` [T, 1, 1, 1], 1 for photographs of fits and 0
-            for those that training sees; and what :func:`describe_patch` returns for the whole patch.
+            `photo`, `inputs` and `camera_height`; `slopes_are_final` [T, 1, 1, 1], 1 for photographs of fits and 0 for
+            those of training; what :func:`describe_patch` returns; and the second field's weights, as
+            :func:`mark_second` names them.
         """
-        is_of_fit = isinstance(seen, SeenPhoto)
-        patch = describe_patch(seen.photo) if is_of_fit else {key: getattr(seen, key) for key in PATCH_KEYS}
-        final = seen.photo.new_full((len(seen.photo), 1, 1, 1), float(is_of_fit))
-        photo = {"photo": seen.photo, "inputs": seen.inputs, "camera_height": seen.camera_height}
-        return photo | {"shows_final_slopes": final} | patch
+        photo, count = seen.photo, len(seen.photo)
+        is_final = photo.new_full((count, 1, 1, 1), float(seen.slopes_are_final))
+        selected = {"photo": photo, "inputs": seen.inputs, "camera_height": seen.camera_height}
+        weights = mark_second(full_field_weights(count, photo.device))
+        patch: Params = seen.describe_patch()
+        return selected | {"slopes_are_final": is_final} | patch | weights
 
     @override
     def __call__(self, encoder: Params, encoder_input: Batch, decoder: Any) -> Params:
-        """Return parameters of both fields, with a code in each pixel."""
-        full_parameters = full_encoder(encoder_input["photo"].device).items()
-        full_decoder = {
-            key.replace(DECODER_PREFIX, DECODER_PREFIX + FULL_PREFIX): value
-            for key, value in full_parameters
-            if key.startswith(DECODER_PREFIX)
-        }
+        """Return the parameters of both fields, with a code in each pixel: read by features, and of General of "full".
+
+        The roughness of both is then shifted to the roughness that a sharp highlight shows.
+        """
         inputs, patch = encoder_input["inputs"], {key: encoder_input[key] for key in PATCH_KEYS}
         read = read_photos(select_reader(encoder), encoder_input["photo"], inputs[:, -2:], patch)
-        network = decoder.network
-        theta = add_decoder(read | {key: read[key] / network.gain for key in ("z", "flash")}, encoder | full_decoder)
-        raw = network.evaluate(theta, network.gain * theta["z"], inputs)
+        first = add_decoder({"z": read["z"] / decoder.network.gain}, encoder)
+        second = select_second(encoder_input) | {"z": _sample_at(patch["code"], inputs[:, -2:])}
+        theta = join_fields(first, second) | {"flash": patch["flash"], "deviation": read["deviation"]}
+        raw = decoder.evaluate(theta, inputs)
         maps, finished = decode_maps(raw), decoder.finish_maps(raw)
         # training sees slopes as the network makes them
-        is_final = encoder_input["shows_final_slopes"] > 0
+        is_final = encoder_input["slopes_are_final"] > 0
         maps = maps._replace(normal=torch.where(is_final, finished.normal, maps.normal))
-        return _apply_polish(theta, maps, encoder_input["camera_height"], 1 - FULL_SHARE)
+        return shift_roughness(theta, maps, read["shown"], encoder_input["camera_height"])
 
 
 def init_reader(rng: Generator, code: int) -> Params:
@@ -150,29 +136,24 @@ def init_reader(rng: Generator, code: int) -> Params:
     return reader
 
 
-def read_photos(reader: Params, photos: Tensor, positions: Tensor | None = None, patch: Params | None = None) -> Params:
-    """Predict from linear photographs the codes of fields, the flash, and errors of maps.
+def read_photos(reader: Params, photos: Tensor, positions: Tensor, patch: Params) -> Params:
+    """Predict from linear photographs the code of a field, the roughness of sharp highlights, and errors of maps.
 
     Args:
         reader: the parameters that `init_reader` draws.
         photos: linear photographs of any exposure and white balance, [T, 3, H, H].
-        positions: the positions of the pixels in the patch, [T, 2, H, H]; None if the photographs show the whole patch.
-        patch: the tensors of :func:`describe_patch` for the whole patch, of which the photographs show a window; None
-            if the photographs show the whole patch.
+        positions: the positions of the pixels in the patch, [T or 1, 2, H, H].
+        patch: the tensors of :func:`describe_patch` for the whole patch, of which the photographs may show a window.
 
     Returns:
-        `z`, the code [T, code, H, H] followed by the code that General of the recipe "full" predicts; `flash`
-        [T, FLASH_NUMBERS], which that General predicts, too; `deviation` [T, len(PARTS), H / 4, H / 4], logs of
-        predicted errors; `shown` [T], the roughness that the highlight shows.
+        `z`, the code [T, code, H, H]; `deviation` [T, len(PARTS), H / 4, H / 4], logs of predicted errors; `shown` [T],
+        the roughness that the highlight shows.
 
     Raises:
         ValueError: there are no weights of VGG-16; H is no multiple of SIDE_STEP_PX.
     """
     if photos.shape[-1] % SIDE_STEP_PX or photos.shape[-2] % SIDE_STEP_PX:
         raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {SIDE_STEP_PX}; set another size.")
-    if positions is None:
-        positions = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
-    patch = describe_patch(photos) if patch is None else patch
     mean = patch["overview"].mean((2, 3), keepdim=True)
     balanced, inputs = _balance(photos, positions, mean)
     overview_place = texel_positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
@@ -198,36 +179,7 @@ def read_photos(reader: Params, photos: Tensor, positions: Tensor | None = None,
                 result["deviation"] = apply_pointwise(reader, "deviation", x).float()
         assert x is not None
         code = apply_pointwise(reader, "code", x).float()
-    result |= {"z": torch.cat([code, _sample_at(patch["code"], positions)], 1), "flash": patch["flash"]}
-    return result | {"shown": predict_roughness(reader, patch["highlight"])}
-
-
-@torch.no_grad()
-def describe_patch(photos: Tensor) -> Params:
-    """Describe linear photographs [T, 3, H, W] of a whole patch, so that windows of it can be read with this context.
-
-    Returns:
-        `overview` [T, 3, OVERVIEW_PX, OVERVIEW_PX], the reduced photographs; `highlight` [T, HIGHLIGHT_NUMBERS]; and
-        what General of the recipe "full" predicts, at its side S: `guess` [T, GUESS_CHANNELS, S, S], `code`
-        [T, C, S, S] and `flash` [T, FLASH_NUMBERS].
-    """
-    network = FULL_FIELD
-    small = interpolate(photos, (network.height, network.width), mode="bilinear")
-    theta = FULL_APP.encode(full_encoder(photos.device), {"photo": small})
-    maps = FULL_DECODER.make_maps(theta, small)
-    log_reflectances = [
-        (reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)
-    ]
-    overview = interpolate(avg_pool2d(photos, SIDE_STEP_PX), (OVERVIEW_PX, OVERVIEW_PX), mode="bilinear")
-    field_parameters = {"code": network.gain * theta["z"], "flash": network.gain * theta["flash"]}
-    guess = torch.cat([maps.roughness, *log_reflectances], 1)
-    return field_parameters | {"overview": overview, "highlight": describe_highlight(photos), "guess": guess}
-
-
-@functools.cache
-def full_encoder(device: torch.device) -> Params:
-    """Load the encoder of General of the recipe "full" that ships."""
-    return load_checkpoint(shipped_checkpoint_path(FULL_APP.name, "general-photo", FULL_RECIPE_NAME), device)[0].encoder
+    return result | {"z": code, "shown": predict_roughness(reader, patch["highlight"])}
 
 
 def describe_missing_weights() -> str:
@@ -287,51 +239,15 @@ def _compute_vgg_features(balanced: Tensor) -> list[Tensor]:
     return features
 
 
-def unknown_deviation(count: int, device: torch.device) -> Params:
-    """Return `deviation` [count, 4, BASE_TEXELS, BASE_TEXELS] where nothing is known of errors; no step moves it."""
-    return {"deviation": torch.full((count, len(PARTS), BASE_TEXELS, BASE_TEXELS), UNKNOWN_LOG, device=device)}
-
-
-def laplace_scales(deviation: Tensor) -> Tensor:
-    """Return the scale of a Laplace distribution of the error of each map, mean over channels, given its log."""
-    return MIN_DEVIATION + deviation.exp()
-
-
-def negative_log_likelihood(differences: Sequence[Tensor], deviation: Tensor) -> Tensor:
-    """Return the negative log-likelihood of errors of maps but for a constant, [T] (Kendall & Gal 2017).
-
-    Only `deviation` has a gradient of it.
+def shift_roughness(theta: Params, maps: Maps, shown: Tensor, height: Tensor) -> Params:
+    """Shift the roughness of the mean of two fields to the roughness that a sharp highlight shows.
 
     Args:
-        differences: what :func:`metapp.apps.svbrdf_nonstationary.maps.map_differences` returns.
-        deviation: logs of the scales, [T, 4, h, w].
-    """
-    scale = laplace_scales(deviation)
-    size = (scale.shape[-2], scale.shape[-1])
-    mean_errors = [
-        adaptive_avg_pool2d(difference.detach(), size).abs().mean(1, keepdim=True) for difference in differences
-    ]
-    return (torch.cat(mean_errors, 1) / scale + scale.log()).mean((1, 2, 3))
-
-
-def scale_slopes(theta: Params) -> Params:
-    """Scale the slopes of the maps of fields with parameters [T, ...] by INITIAL_SLOPE_GAIN."""
-    factor = theta["out.shift"].new_tensor([INITIAL_SLOPE_GAIN] * CHANNELS[0] + [1.0] * sum(CHANNELS[1:]))
-    last_layer = {name: value for name, value in theta.items() if name.startswith("out.")}
-    return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last_layer.items()}
-
-
-def _apply_polish(theta: Params, maps: Maps, height: Tensor, share: float) -> Params:
-    """Shift the roughness of fields with maps [T, C, h, w] to the roughness that a sharp highlight shows.
-
-    Args:
-        theta: the parameters of the fields, and `shown` [T].
-        maps: their maps.
+        theta: the parameters of both fields; the first one is shifted.
+        maps: their maps, [T, C, h, w].
+        shown: the roughness that :func:`predict_roughness` returns, [T].
         height: heights of cameras in half sides of the patch, [T, 1], 0 where they are not known.
-        share: the share of the first field, whose roughness is shifted.
     """
-    shown = theta["shown"]
-    shift = roughness_shift(shown, maps, scale_roughness(shown, height[:, 0])) / share
+    shift = roughness_shift(shown, maps, scale_roughness(shown, height[:, 0])) / (1 - SECOND_SHARE)
     roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
-    kept = {key: value for key, value in theta.items() if key != "shown"}
-    return kept | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}
+    return theta | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
@@ -14,11 +16,11 @@ from metapp.apps.svbrdf_nonstationary.flashes import render_photo
 from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, blots, log_radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import map_differences
 from metapp.apps.svbrdf_nonstationary.photo_sight import compare_photos
-from metapp.apps.svbrdf_nonstationary.pretrained.encoder import laplace_scales, negative_log_likelihood
 from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import UncertainMaps
 
 PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # weights of the differences of maps, in the order of PARTS
 LIKELIHOOD_WEIGHT = 0.03  # weight in the outer loss of the likelihood of predicted errors, which moves these alone
+MIN_DEVIATION = 0.01  # the least predicted error of maps
 
 
 class FeatureJudge(MapJudge):
@@ -50,3 +52,25 @@ class FeatureJudge(MapJudge):
         loss = map_weights[:, 3] * (pictures + PHOTO_WEIGHT * photo_loss)
         likelihood = negative_log_likelihood(differences, answer.deviation) * map_weights.amin(1)
         return loss + MAPS_WEIGHT * map_loss + BLOTS_WEIGHT * blot_loss + LIKELIHOOD_WEIGHT * likelihood
+
+
+def laplace_scales(deviation: Tensor) -> Tensor:
+    """Return the scale of a Laplace distribution of the error of each map, mean over channels, given its log."""
+    return MIN_DEVIATION + deviation.exp()
+
+
+def negative_log_likelihood(differences: Sequence[Tensor], deviation: Tensor) -> Tensor:
+    """Return the negative log-likelihood of errors of maps but for a constant, [T] (Kendall & Gal 2017).
+
+    Only `deviation` has a gradient of it.
+
+    Args:
+        differences: what :func:`metapp.apps.svbrdf_nonstationary.maps.map_differences` returns.
+        deviation: logs of the scales, [T, 4, h, w].
+    """
+    scale = laplace_scales(deviation)
+    size = (scale.shape[-2], scale.shape[-1])
+    mean_errors = [
+        adaptive_avg_pool2d(difference.detach(), size).abs().mean(1, keepdim=True) for difference in differences
+    ]
+    return (torch.cat(mean_errors, 1) / scale + scale.log()).mean((1, 2, 3))

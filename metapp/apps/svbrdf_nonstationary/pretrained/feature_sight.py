@@ -14,8 +14,22 @@ from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight, SeenPhoto, compare_photos
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
+from metapp.apps.svbrdf_nonstationary.pretrained.patch import PATCH_KEYS, describe_patch
 from metapp.apps.svbrdf_nonstationary.pretrained.scars import hidden_share, remove_scars, trust_texels
 from metapp.learning.task import Params, Tasks
+
+
+class FitPhoto(SeenPhoto):
+    """A photograph of a whole patch as fits see it."""
+
+    @property
+    def slopes_are_final(self) -> bool:
+        """Whether maps have the slopes of fits: True."""
+        return True
+
+    def describe_patch(self) -> Params:
+        """Describe the patch; see :func:`metapp.apps.svbrdf_nonstationary.pretrained.patch.describe_patch`."""
+        return describe_patch(self.photo)
 
 
 class TrainingPhoto(NamedTuple):
@@ -36,6 +50,15 @@ class TrainingPhoto(NamedTuple):
     flash: Tensor
 
     @property
+    def slopes_are_final(self) -> bool:
+        """Whether maps have the slopes of fits: False, as training sees slopes as the network makes them."""
+        return False
+
+    def describe_patch(self) -> Params:
+        """Return the descriptions of the whole patch, by name."""
+        return {key: getattr(self, key) for key in PATCH_KEYS}
+
+    @property
     def positions(self) -> Tensor:
         """The positions of the pixels in the patch, [T, 2, h, w]."""
         return self.inputs[:, -2:]
@@ -50,9 +73,11 @@ class TrainingPhoto(NamedTuple):
 class FeatureSight(PhotoSight):
     """The sight of one photograph; training sees windows of photographs, too."""
 
+    seen_type = FitPhoto
+
     @override
     def seen_type_of(self, tensors: Mapping[str, Tensor]) -> type[Any]:
-        return TrainingPhoto if tensors.keys() >= set(TrainingPhoto._fields) else SeenPhoto
+        return TrainingPhoto if tensors.keys() >= set(TrainingPhoto._fields) else FitPhoto
 
     @override
     def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[TrainingPhoto, TrueMaps]:
@@ -63,7 +88,7 @@ class FeatureSight(PhotoSight):
         return TrainingPhoto(**drawn), truth
 
     @override
-    def loss(self, answer: PhotographedMaps, seen: SeenPhoto | TrainingPhoto, loss_parameters: Params) -> Tensor:
+    def loss(self, answer: PhotographedMaps, seen: FitPhoto | TrainingPhoto, loss_parameters: Params) -> Tensor:
         """Return the difference from the photograph, [T]; texels beneath a highlight count less.
 
         See :func:`trust_texels`.

@@ -12,12 +12,13 @@ from metapp.apps.svbrdf_nonstationary.field_maps import field_of
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import FeatureEncoder
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanField, MeanFieldMaps
+from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanFieldMaps
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.recipe import OuterLoop
+from metapp.networks.field import LocalField
 
 
-def of_features(network: MeanField) -> SvbrdfNonstationary:
+def of_features(network: LocalField) -> SvbrdfNonstationary:
     """Return the application whose fits of one photograph begin at General's maps by features of VGG-16."""
     decoder, sight = MeanFieldMaps(network, "raised"), FeatureSight(fills=True)
     return SvbrdfNonstationary(decoder, sight, FeatureJudge(), FeatureEncoder(), FINEST_PX)
@@ -27,7 +28,7 @@ FULL = PHOTO_RECIPES["full"]
 SEARCHED = replace(FULL.quickft, rate=8e-3, final_rate_share=0.1)
 PRETRAINED = replace(
     FULL,
-    app=of_features(MeanField(*field_of(256, 32))),
+    app=of_features(field_of(256, 32)),
     quickft=SEARCHED,
     meta={"meta-encoder": replace(FULL.meta["meta-encoder"], initial_adam=SEARCHED)},
     general=OuterLoop(
