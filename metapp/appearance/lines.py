@@ -24,8 +24,7 @@ QUANTILE_PX = 60_000  # number of px, at least, of which quantiles are taken whe
 # energies, in squared display values, below which lines and edges count as absent
 FAINTEST_LINE_ENERGY = 1e-14
 MIN_EDGE_ENERGY = 1e-9
-# The ratio of long lines, of a picture's to its exemplar's, above which a picture shows seams: without visible seams it
-# is at most 1.3 (image quilting and fits of 66 photographs), but 1.6 to 3.8 of quilts where edges of blocks are seen.
+# The ratio of long lines, of a picture's to its exemplar's, above which a picture shows seams
 SEAM_STRENGTH_RATIO = 1.5
 
 

@@ -12,8 +12,7 @@ from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK, Nbrdf
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe, paper_recipe
 
-# Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
-# clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
+# meta-gradients are heavy-tailed, so that the clip gives the gradients of all tasks about the same norm
 LEARNED = MetaTraining(
     steps=20_000,
     tasks=4,
@@ -78,9 +77,8 @@ ANISOTROPIC = replace(
     app=ANISOTROPIC_APP,
 )
 
-# Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. Weights begin as in Sztrajman et al. 2021 and
-# the authors' code (models/brdfmodel.py): from Kaiming-normal ones the rule hardly learns. From there Overfit needs the
-# low rate of Sztrajman et al., too: at 1e-2 a quarter of the fits of training materials ends at black.
+# Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. First weights and the rate of Overfit are those
+# of Sztrajman et al. 2021; metapp/checkpoints/brdf/README.md has the reasons.
 PAPER = replace(
     paper_recipe(replace(QUICK, quickft=Adam(5e-3)), Brdf(Nbrdf(bound=0.05)), tasks=1, order=2, augment=False),
     overfit=Adam(5e-4, final_rate_share=0.0),
@@ -88,10 +86,7 @@ PAPER = replace(
     finetune_steps=10_000,
 )
 
-# The published fits, trained through second derivatives that see the curvature of mean absolute errors. A smoothing of
-# 0.2 had the lowest error of training materials after 60,000 outer steps: 0.89; 1.11 by 0.5, 0.90 by 0.1, 1.04 by 0.05,
-# 1.25 by 0.02, 1.60 without. At a constant rate the error falls slowly, from 0.77 after 190,000 steps to 0.74 after
-# 550,000; as the rate falls, it falls to 0.59.
+# the published fits, trained through second derivatives that see the curvature of mean absolute errors
 PAPER_SMOOTH = long_paper_recipe(PAPER, steps=960_000, hold_share=0.7, smoothing=0.2, validate_every=10_000)
 
 RECIPES = {

@@ -18,9 +18,7 @@ from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Params, Task, add_task_axis
 
-# Strength of a texture's lines over the exemplar's, below which lines are broken. Of fits of 66 photographs five are
-# below it, one of which has lost the seam of a pair of jeans; of 33 of the photographs that were torn into blocks of 16
-# texels, 26 are.
+# Strength of a texture's lines over the exemplar's, below which lines are broken: 5 of 66 fits of photographs
 MIN_LINE_STRENGTH = 0.935
 
 

@@ -49,21 +49,16 @@ CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
 NOISE = 0.006  # log radiance: geometric mean of |differences| up to which these weights hold
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
 # Parallax is removed where heights deviate by so many texels, and where stereo's residual falls below this share.
-# 12 flat plates have less than 0.5 texels, or shares of 0.98 to 1.25; of relief by a phone 7 of 9 sets have 1.0 to 2.1
-# texels and shares of 0.74 to 0.93, two without details 0.99 and 1.01.
 MIN_HEIGHT_TEXELS, MAX_RESIDUAL_SHARE = 0.5, 0.95
 # Initial maps by photometric stereo, from which Overfit begins
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the one roughness of the surface
 INITIAL_MAPS_PX = 64  # largest side of the photographs that stereo reads; its maps are enlarged afterwards
-# Fits of several photographs, on 12 simulated sets of hand-held ones: where fitted normals are tilted by 1.4 to 1.9
-# degrees on average, they are off by 0.8 of true tilts and more; where by 4.9 degrees and more, by 0.2 to 0.6, but for
-# one set of three photographs.
+# Mean tilt of fitted normals below which a line says that they may be far off
 MIN_TILT_DEGREES = 3.0
-# Deviation of the logs of photographs from those of renderings, averaged over so many blocks a side: up to 0.007, but
-# 0.043 for the set of three photographs, whose normals are off by 0.94 of true tilts.
+# Deviation of the logs of photographs from those of renderings, averaged over so many blocks a side, above which a line
+# says that the fit does not explain its photographs
 MAX_LOG_DIFFERENCE, COMPARED_BLOCKS = 0.02, 8
-# Median |difference| of the logs of photographs and renderings: 0.001 to 0.002 for photographs at exact places; where a
-# phone took them, 0.007 to 0.031, and above it 6 of 7 sets.
+# Median |difference| of the logs of photographs and renderings, above which a line says so; exact places have 0.002
 MAX_NOISE = 0.01
 
 
