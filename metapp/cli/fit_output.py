@@ -57,8 +57,6 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
         report = execute(choice, train_and_load)
     else:
         report = execute(choice)
-    if report is None:
-        return
     _print_report(report, json=json)
     counted_failures = [failure for failure in report.failures if failure.fails_run]
     unwritten = sum(failure.is_fit_kept for failure in counted_failures)

@@ -6,10 +6,12 @@ All ranks draw the same tasks and samples from the same seed and take the same o
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import timedelta
+from typing import ParamSpec
 
 import torch
 from torch import Tensor
@@ -19,6 +21,8 @@ from typing_extensions import override
 
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.task import Params
+
+Arguments = ParamSpec("Arguments")
 
 RANK_TIMEOUT = timedelta(minutes=30)  # the time that ranks wait for a slower one before it counts as lost
 # names of the network interface for connections within a machine, by `sys.platform`
@@ -37,7 +41,11 @@ def rank_count() -> int:
 
 @contextlib.contextmanager
 def connect_ranks(device: torch.device) -> Iterator[None]:
-    """Connect the ranks within a context: by nccl on GPUs, one GPU a rank, and by gloo on CPUs."""
+    """Connect the ranks within a context: by nccl on GPUs, one GPU a rank, and by gloo on CPUs.
+
+    Raises:
+        SystemExit: at the end of the context, in all ranks but rank 0, which goes on alone; the exit code is 0.
+    """
     if rank_count() == 1:
         yield
         return
@@ -52,6 +60,34 @@ def connect_ranks(device: torch.device) -> Iterator[None]:
     finally:
         with contextlib.suppress(RuntimeError):  # other ranks may have ended
             dist.destroy_process_group()
+    if rank_number() > 0:
+        raise SystemExit(0)
+
+
+@contextlib.contextmanager
+def rank_zero_first() -> Iterator[None]:
+    """Let rank 0 pass through a context before the other ranks enter it, and all leave it together.
+
+    Raises:
+        ConnectionError: another rank has ended.
+    """
+    if rank_number() > 0:
+        wait_for_ranks()
+    yield
+    if rank_number() == 0:
+        wait_for_ranks()
+    wait_for_ranks()
+
+
+def on_rank_zero(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
+    """Return a function that does nothing in other ranks than rank 0."""
+
+    @functools.wraps(function)
+    def run(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> None:
+        if rank_number() == 0:
+            function(*arguments, **keywords)
+
+    return run
 
 
 def wait_for_ranks() -> None:

@@ -6,6 +6,7 @@ together, progress, and the files that later runs read.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from dataclasses import asdict, replace
@@ -30,7 +31,7 @@ from metapp.runs.checkpoint_selection import (
 from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, software_versions
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
-from metapp.runs.reporter import progress, say
+from metapp.runs.reporter import Reporter, progress, say, use_reporter
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import (
     load_checkpoint,
@@ -45,15 +46,16 @@ from metapp.storage.shards import fingerprint, read_data_set
 SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints, unless METAPP_CHECKPOINT_SECONDS says another time
 
 
-def train_and_load(choice: Choice) -> Checkpoint | None:
-    """Train the checkpoint that fits need, and read it; ranks but the first train alone and return None."""
-    with ranks.connect_ranks(choice.device):
+def train_and_load(choice: Choice) -> Checkpoint:
+    """Train the checkpoint that fits need, and read it; ranks but the first end after training."""
+    silence = contextlib.nullcontext() if ranks.rank_number() == 0 else use_reporter(Reporter())
+    with silence, ranks.connect_ranks(choice.device):
         path, general = train_checkpoint(choice)
     # the trained file holds no encoder, and its General may be the one that ships, which lies in another folder
     if general and choice.paradigm.trainings[-1].takes_encoder_from_general:
         return merge_tuned_adam(general, load_checkpoint(path)[0], path)
     trained = replace(choice, options=replace(choice.options, checkpoint=path))
-    return find_checkpoint(trained) if ranks.rank_number() == 0 else None
+    return find_checkpoint(trained)
 
 
 def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
@@ -83,36 +85,41 @@ def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
     # rounding depends on device and threads, so that a training goes on only where these are equal
     settings = header | {"device": str(choice.device), "threads": get_num_threads()}
 
+    @ranks.on_rank_zero
+    def keep_state(state: TrainState) -> None:
+        save_training_state(_training_path(path), state._asdict(), settings)
+
+    @ranks.on_rank_zero
     def write(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # QuickFT's file holds no encoder: the file of General has the one that QuickFT was tuned for
         phi = state.phi._replace(encoder={}) if training.takes_encoder_from_general else state.phi
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
         save_checkpoint(file, phi, header | description | result, previous)
 
-    is_writer, interval_seconds, save_time = ranks.rank_number() == 0, _save_interval_seconds(), time.monotonic()
-    state = since = _read_interrupted_state(path, settings, choice)
+    interval_seconds, save_time = _save_interval_seconds(), time.monotonic()
+    with ranks.rank_zero_first():  # which puts a damaged file aside
+        state = since = _read_interrupted_state(path, settings, choice)
     with progress(f"train {training.name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(choice.device).manual_seed(options.seed), first and first.phi
         try:
             for state in train_phi(training, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
-                if is_writer and time.monotonic() - save_time >= interval_seconds:
-                    save_training_state(_training_path(path), state._asdict(), settings)
+                if time.monotonic() - save_time >= interval_seconds:
+                    keep_state(state)
                     save_time = time.monotonic()
                 if state.note:
                     bar.set_done(state.step, state.total, state.note)
         except (KeyboardInterrupt, ConnectionError) as error:
-            if is_writer and state:
-                save_training_state(_training_path(path), state._asdict(), settings)
-            if is_writer and isinstance(error, KeyboardInterrupt) and state and state.curve:
+            if state:
+                keep_state(state)
+            if isinstance(error, KeyboardInterrupt) and state and state.curve:
                 interrupted_path = path.with_suffix(".interrupted.safetensors")
                 write(state, interrupted_path)
                 say(f"validation error {state.validation:.3f}; to use it as it is: --checkpoint {interrupted_path}")
             raise
     assert state is not None
-    if is_writer:
+    with ranks.rank_zero_first():  # all ranks go on from the file
         write(state, path, _previous_path(path))
         _training_path(path).unlink(missing_ok=True)
-    ranks.wait_for_ranks()  # until the file is there, which all ranks go on from
     result = f"validation error {state.validation:.3f} at step {state.best_step}"
     say(f"{training.name}: {result}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
     return path, general
@@ -121,18 +128,13 @@ def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
 def _read_interrupted_state(path: Path, settings: Document, choice: Choice) -> TrainState | None:
     """Return the state of a training of equal settings that was cut off; None if there is none.
 
-    All ranks read it. Rank 0 does so before the others, since it puts a damaged file aside.
-
     Args:
         path: the file of the finished checkpoint.
         settings: all that the training depends on.
         choice: the choice of what is trained.
     """
-    if ranks.rank_number() > 0:
-        ranks.wait_for_ranks()
-    else:
-        for file in (path, _previous_path(path)):
-            remove_partial(file)
+    for file in (path, _previous_path(path)):
+        remove_partial(file)
     state = None
     try:
         if fields := load_training_state(_training_path(path), settings, choice.device):
@@ -141,9 +143,6 @@ def _read_interrupted_state(path: Path, settings: Document, choice: Choice) -> T
             say(f"going on from {step} (training checkpoint {_training_path(path)})")
     except ValueError as error:
         say(f"{error}; training from the beginning")
-    if ranks.rank_number() == 0:
-        ranks.wait_for_ranks()
-    ranks.wait_for_ranks()  # until all have read it
     return state
 
 

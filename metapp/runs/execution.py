@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
-from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, torch_defaults
@@ -24,7 +23,7 @@ from metapp.runs.inputs.run_inputs import Input, find_inputs
 from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, tiles_of_fit, write_run_sheet
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
-from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
+from metapp.runs.reporter import Bar, progress, say
 from metapp.storage.files import DISK_FULL_ERRNOS, error_about_file, error_text
 from metapp.storage.fit_records import FitRecord, summary
 from metapp.storage.fit_store import FitStore
@@ -88,7 +87,7 @@ class RunReport:
         return Path(self.records[0].folder) if len(self.records) == 1 else self.store.path
 
 
-def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = find_checkpoint) -> RunReport | None:
+def execute(choice: Choice, provide: Callable[[Choice], Checkpoint] = find_checkpoint) -> RunReport:
     """Provide the checkpoint of a choice, then fit all inputs and keep each fit in its folder.
 
     Args:
@@ -97,8 +96,7 @@ def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = fin
             passes :func:`metapp.runs.checkpoint_training.train_and_load`, whose module most runs need not import.
 
     Returns:
-        The report on all inputs. Of several ranks (processes of one training), only the first has a report; the others
-        help to train and return None.
+        The report on all inputs.
 
     Raises:
         ValueError: inputs are bad, there is no checkpoint, a folder cannot be written to, or nothing could be fitted.
@@ -108,15 +106,9 @@ def execute(choice: Choice, provide: Callable[[Choice], Checkpoint | None] = fin
     """
     options = choice.options
     with torch_defaults(single=choice.app.small_tensors):
-        if ranks.rank_number() > 0:
-            if options.train:
-                with use_reporter(Reporter()):  # shows neither messages nor progress
-                    provide(replace(choice, options=replace(options, quiet=True)))
-            return None
         make_folder(options.out)
         inputs, label = find_inputs(choice)
         checkpoint = provide(choice)
-        assert checkpoint is not None
         fitter = Fitter(choice, checkpoint, label)
         if not options.quiet:
             count = f"{len(inputs)} input{'s' * (len(inputs) != 1)}"
