@@ -28,13 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from torch import Generator
-
     from metapp.learning.adjoint import Loss, Steps, UpdateRule
-    from metapp.learning.learn import DescentState
-    from metapp.learning.recipe import OuterLoop
-    from metapp.learning.rules import Part
-    from metapp.learning.task import Params, Tasks
+    from metapp.learning.rules import LearnedRule
+    from metapp.learning.task import Params
 
     SceneDict = dict[str, Any]  # a scene of Mitsuba as JSON holds it
 
@@ -148,43 +144,6 @@ class MakeSteps(Protocol):
         ...
 
 
-class DescendOuterLoss(Protocol):
-    """A function that takes the outer steps of a training faster than torch where it can; the hook `outer_loop`.
-
-    >>> def descend_outer_loss(paradigm, outer_loop, params, tasks, rng, since=None):
-    ...     return None
-    """
-
-    def __call__(
-        self,
-        paradigm: Any,
-        outer_loop: OuterLoop,
-        params: Params,
-        tasks: Tasks,
-        rng: Generator,
-        since: DescentState | None = None,
-        /,
-    ) -> Iterator[DescentState] | None:
-        """Descend the outer loss of a paradigm's training, with the results of the loop in torch up to rounding.
-
-        Args:
-            paradigm: the :class:`metapp.paradigms.paradigm.Paradigm` that fits, whose phi is trained.
-            outer_loop: the settings of the outer loop.
-            params: the phi before the first step, a flat tree.
-            tasks: the training tasks.
-            rng: the source of all random numbers. After each state that is yielded, it must be in the state in which
-                the loop in torch would leave it.
-            since: the state of an earlier descent, which is continued.
-
-        Returns:
-            The state before the first step, then states after some of the steps, among them each step at which
-            `outer_loop.validate_every` asks for a validation, and the last. The loss of a state holds the losses of all
-            steps since the state before, one step after the other, and `names` the names of their tasks. A step whose
-            loss is not finite ends the steps before a state. None if the function cannot take these steps.
-        """
-        ...
-
-
 class CheckScene(Protocol):
     """A function that checks the scene of a data set before Mitsuba loads it; the hook `scene`.
 
@@ -247,14 +206,12 @@ class Hooks(SetOnce):
     """Functions that the core calls if an extension sets them.
 
     Attributes:
-        steps: makes the steps of fits, faster than torch where it can.
-        outer_loop: takes the outer steps of a training, faster than torch where it can.
+        steps: makes the steps of fits and of outer loops, faster than torch where it can.
         scene: checks the scenes of data sets.
         name: the name of the object, with which errors begin.
     """
 
     steps: Lazy[MakeSteps] | None = None
-    outer_loop: Lazy[DescendOuterLoss] | None = None
     scene: Lazy[CheckScene] | None = None
     name: str = "hooks"
 
@@ -265,11 +222,7 @@ class Registry:
 
     Attributes:
         applications: applications by name; each has tables of its own.
-        parts: parts of learned rules, in the order in which they act on a step. An entry loads a subclass of
-            `metapp.learning.rules.Part`, or another function that makes a part; the key is the part's `name`.
-        rules: learned rules, as names of parts and compositions that are joined by "+".
-        compositions: further such texts, whose names may also be a piece of a longer composition; lists of choices show
-            the names in `rules` alone.
+        rules: learned rules, each a :class:`metapp.learning.rules.LearnedRule` of the name that is its key.
         file_exports: forms in which files are written that are no fits.
         plugins: plugins of Mitsuba.
         measures: measures of pictures.
@@ -281,13 +234,11 @@ class Registry:
         problems: why some extensions cannot be used, by "NAME of PACKAGE".
 
     >>> registry().rules["meta-sgd"]
-    'sgd'
+    Lazy(reference='metapp.learning.rules.named_rules:META_SGD')
     """
 
     applications: Entries[Application] = field(default_factory=lambda: Entries(Application, "applications"))
-    parts: Entries[Lazy[Callable[[], Part]]] = field(init=False)
-    rules: Entries[str] = field(init=False)
-    compositions: Entries[str] = field(init=False)
+    rules: Entries[Lazy[LearnedRule]] = field(default_factory=lambda: Entries(Lazy, "rules"))
     file_exports: Entries[FileExport] = field(default_factory=lambda: Entries(FileExport, "file_exports"))
     plugins: Entries[Plugin] = field(default_factory=lambda: Entries(Plugin, "plugins"))
     measures: Entries[Measure] = field(default_factory=lambda: Entries(Measure, "measures"))
@@ -297,12 +248,6 @@ class Registry:
     hooks: Hooks = field(default_factory=Hooks)
     extensions: dict[str, str] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Make the tables of learned rules, which share their names, as users write all of them after --rule."""
-        owners: dict[Any, str] = {}
-        for name, kind in (("parts", Lazy), ("rules", str), ("compositions", str)):
-            object.__setattr__(self, name, Entries(kind, "rules", owners=owners))
 
     def add(self, application: Application) -> None:
         """Add an application under its name."""
@@ -328,11 +273,6 @@ class Registry:
     def embedded_apps(self) -> list[str]:
         """The names of the applications that have an embedded data set, sorted."""
         return sorted(name for name, application in self.applications.items() if application.synthetic)
-
-    @property
-    def rule_words(self) -> list[str]:
-        """The words that --rule accepts, joined by +: rules, compositions and parts."""
-        return [*self.rules, *self.compositions, *self.parts]
 
     def find_format(self, name: str) -> tuple[Application, Format]:
         """Return the format of a name, and the application whose tasks its files hold.

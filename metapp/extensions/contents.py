@@ -130,7 +130,6 @@ def mitsuba_bsdfs(registry: Registry) -> None:
 def native(registry: Registry) -> None:
     """Register steps of learning in C, and compiled by torch, and the outer loop of Meta-SGD in C."""
     registry.hooks.steps = Lazy(f"{_HERE}.native.step_choice:choose_steps")
-    registry.hooks.outer_loop = Lazy(f"{_HERE}.native.meta_sgd:descend_in_c")
 
 
 def onnx_files(registry: Registry) -> None:

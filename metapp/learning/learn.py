@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -76,8 +76,7 @@ class DescentState(NamedTuple):
         step: the number of steps that were taken.
         theta: the parameters, detached.
         rule_state: the state of the update rule, as its steps return it.
-        loss: the loss of each task before the last step, [T], detached; None before the first step. A descent that
-            yields only some of its states has the losses of all steps since the state before, one step after the other.
+        loss: the loss of each task before the last step, [T], detached; None before the first step.
         names: the names of the tasks that these losses are of.
         guarded: bool [T], True for tasks whose result is the guard's instead of the rule's (see
             :mod:`metapp.learning.guard`); None without a guard.
@@ -285,7 +284,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
         drawn = tasks.select(rows)
         return loss.draw(augment(drawn, rng) if augment else drawn, rng, done)
 
-    return Loss(draw, loss.value, shared=True)
+    return replace(loss, draw=draw, shared=True)
 
 
 class EncoderPrediction(NamedTuple):
@@ -300,6 +299,29 @@ class EncoderPrediction(NamedTuple):
     encode: Callable[[Params, AnyBatch], Params]
 
 
+@dataclass(frozen=True, kw_only=True)
+class LossAfterLearning(Loss):
+    """A loss on phi with all that it is made of, by which faster steps recognise it; see :func:`after_learning`.
+
+    Attributes:
+        inner_loss: the loss that the inner steps descend.
+        rule: a function from hyperparameters alpha to an update rule.
+        steps: the number of inner steps.
+        order: the order of derivatives through the steps, 2 or 1.
+        clip: the greatest norm of each task's gradient.
+        prediction: how phi's encoder predicts initialisations; None if phi holds the initialisation itself.
+        outer_loss: the loss of the final theta.
+    """
+
+    inner_loss: Loss
+    rule: Callable[[Params], UpdateRule]
+    steps: int
+    order: int
+    clip: float
+    prediction: EncoderPrediction | None
+    outer_loss: Loss
+
+
 def after_learning(
     loss: Loss,
     rule: Callable[[Params], UpdateRule],
@@ -310,7 +332,7 @@ def after_learning(
     prediction: EncoderPrediction | None = None,
     outer_loss: Loss | None = None,
     make_steps: StepMaker = torch_steps,
-) -> Loss:
+) -> LossAfterLearning:
     """Lift a loss on theta to a loss on phi: the loss after a fit that phi initialises (alg. 3).
 
     Args:
@@ -357,7 +379,17 @@ def after_learning(
         final = learn_differentiably(theta, update_rule, inner, loss, order=order, make_steps=make_steps)
         return make_steps(update_rule, last_loss, final, 1).value(final, outer)  # steps may evaluate the loss in C
 
-    return Loss(draw, value)
+    return LossAfterLearning(
+        draw,
+        value,
+        inner_loss=loss,
+        rule=rule,
+        steps=steps,
+        order=order,
+        clip=clip,
+        prediction=prediction,
+        outer_loss=last_loss,
+    )
 
 
 def after_encoding(loss: Loss, prediction: EncoderPrediction) -> Loss:

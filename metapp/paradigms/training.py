@@ -20,8 +20,7 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm
-from metapp.registry import registry
+from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm, fastest_steps
 
 
 class TrainState(NamedTuple):
@@ -157,8 +156,7 @@ def _run_outer_loop(
     for descent in check_finite_losses(descents, every=1):
         losses = state.losses
         if descent.loss is not None:
-            step_losses = descent.loss.view(descent.step - state.step, -1).mean(1)
-            losses = torch.cat([losses.to(step_losses), step_losses])
+            losses = torch.cat([losses.to(descent.loss), descent.loss.mean()[None]])
         state = state._replace(
             current=descent.theta,
             moments=descent.rule_state,
@@ -185,19 +183,15 @@ def _run_outer_loop(
 def _descend_outer_loss(
     training: CheckpointTraining, outer_loop: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
 ) -> Iterator[DescentState]:
-    """Descend the outer loss: by an extension if one can, many steps at a time, else by torch, one step at a time."""
+    """Descend the outer loss by the Adam of the outer loop, in the ranks that there are."""
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
-    if ranks.rank_count() == 1 and (entry := registry().hooks.outer_loop):
-        descent: Iterator[DescentState] | None = entry.load()(
-            training.paradigm, outer_loop, state.current, tasks, rng, since
-        )
-        if descent is not None:
-            return descent
     loss = training.outer_loss(MetaParameters.unflatten(state.current))
     if ranks.rank_count() > 1:
         loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
-    rule = outer_adam(outer_loop, state.current)
-    return descend(state.current, rule, tasks, loss, steps=outer_loop.steps, rng=rng, since=since)
+    rule, make_steps = outer_adam(outer_loop, state.current), fastest_steps()
+    return descend(
+        state.current, rule, tasks, loss, steps=outer_loop.steps, rng=rng, since=since, make_steps=make_steps
+    )
 
 
 MAX_SEARCH_TASKS = 8  # validation tasks of a search, unless networks are small

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._pytree import TreeSpec, tree_flatten, tree_unflatten
 
-from metapp.extensions.native import c_steps
+from metapp.extensions.native import c_steps, meta_sgd
 from metapp.learning.adjoint import Loss, RuleStep, Steps, UpdateRule, step_and_vjp, torch_steps
 from metapp.learning.task import Params
 from metapp.runs.reporter import say
@@ -40,7 +40,7 @@ def choose_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, com
         compiles: whether so many steps follow that compiling steps by torch saves time; they are compiled only where
             there is a tool chain.
     """
-    steps = c_steps.make_c_steps(rule, loss, theta, order)
+    steps = c_steps.make_c_steps(rule, loss, theta, order) or meta_sgd.make_outer_steps(rule, loss, theta)
     if steps is None and compiles and can_compile():
         _say_compiling()
         steps = make_compiled_steps(rule, loss, theta, order)

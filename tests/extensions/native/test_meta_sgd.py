@@ -1,7 +1,6 @@
-"""The outer loop of Meta-SGD in C: the phi of the loop in torch, to rounding, and its draws, number by number."""
+"""Outer steps of Meta-SGD in C: the gradient and the phi of outer steps in torch, to rounding."""
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import pytest
@@ -14,14 +13,16 @@ from metapp.apps.brdf.nbrdf_network import Nbrdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import meta_sgd
 from metapp.extensions.native.compiler import find_compiler
-from metapp.learning.learn import DescentState, check_finite_losses, descend, final_item
+from metapp.learned_rules import rule_of
+from metapp.learning.adjoint import Loss, Steps, UpdateRule, torch_steps
+from metapp.learning.learn import DescentState, MetaParameters, descend, final_item
 from metapp.learning.recipe import MetaTraining
 from metapp.learning.rules import outer_adam
-from metapp.learning.task import KIND_TENSOR, Params, Tasks
+from metapp.learning.task import Params, Tasks
+from metapp.paradigms.adam import General
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import train_phi
 
-Descend = Callable[..., Iterator[DescentState]]
 EPS = torch.finfo(torch.float32).eps
 # Adam moves each weight by up to the rate, whatever the gradient's size, so that a step of one loop rounds to another
 # number than the other's by an eps or two of the weight; most of 100 such errors cancel. Found: 2 eps.
@@ -61,20 +62,18 @@ def first_phi(meta: Meta, tasks: Tasks) -> Params:
     return meta.trainings[0].first_phi(None, tasks, Generator().manual_seed(1)).flatten()
 
 
-def descend_in_torch(
-    meta: Meta, training: MetaTraining, phi: Params, tasks: Tasks, rng: Generator, since: DescentState | None = None
-) -> Iterator[DescentState]:
-    """Descend the outer loss by the reference; the arguments are those of the loop in C."""
-    loss = meta.trainings[0].outer_loss(meta.trainings[0].first_phi(None, tasks, Generator()))
-    return descend(phi, outer_adam(training, phi), tasks, loss, steps=training.steps, rng=rng, since=since)
+def descend_by(make_steps: Callable, meta: Meta, tasks: Tasks) -> list[DescentState]:
+    """Descend the outer loss by steps of torch or of C."""
+    (checkpoint_training,) = meta.trainings
+    training, phi, rng = checkpoint_training.outer_loop, first_phi(meta, tasks), Generator().manual_seed(2)
+    loss, rule = checkpoint_training.outer_loss(MetaParameters.unflatten(phi)), outer_adam(training, phi)
+    return list(descend(phi, rule, tasks, loss, steps=training.steps, rng=rng, make_steps=make_steps))
 
 
-def descend_in_c(
-    meta: Meta, training: MetaTraining, phi: Params, tasks: Tasks, rng: Generator, since: DescentState | None = None
-) -> Iterator[DescentState]:
-    descent = meta_sgd.descend_in_c(meta, training, phi, tasks, rng, since)
-    assert descent is not None
-    return descent
+def steps_in_c(rule: UpdateRule, loss: Loss, phi: Params, order: int) -> Steps:
+    steps = meta_sgd.make_outer_steps(rule, loss, phi)
+    assert steps is not None
+    return steps
 
 
 def assert_near(found: Params, expected: Params) -> None:
@@ -97,24 +96,18 @@ def assert_near(found: Params, expected: Params) -> None:
     ],
     ids=["published", "several tasks", "smoothed", "first order", "clipped", "more tasks than there are"],
 )
-def test_phi_is_that_of_the_loop_in_torch(changes: dict[str, float], tasks: Tasks) -> None:
+def test_phi_is_that_of_steps_in_torch(changes: dict[str, float], tasks: Tasks) -> None:
     training: MetaTraining = replace(TRAINING, **changes)  # type: ignore[arg-type]
-    meta, rngs = meta_of(training), [Generator().manual_seed(2) for _ in range(2)]
-    phi = first_phi(meta, tasks)
-    expected_states = list(descend_in_torch(meta, training, phi, tasks, rngs[0]))
-    states = list(descend_in_c(meta, training, phi, tasks, rngs[1]))
-    assert [state.step for state in states] == [0, 30, 60, 90, 100]
-    for before, state in itertools.pairwise(states):
-        expected = expected_states[state.step]
+    meta = meta_of(training)
+    expected_states, states = (descend_by(make_steps, meta, tasks) for make_steps in (torch_steps, steps_in_c))
+    first = states[0].theta["theta.w2"]
+    for state, expected in zip(states, expected_states, strict=True):
         assert_near(state.theta, expected.theta)
-        assert float((state.theta["theta.w2"] - phi["theta.w2"]).abs().max()) > 1e-2  # which is far more than rounding
-        seen = expected_states[before.step + 1 : state.step + 1]
-        assert state.names == tuple(name for one_step in seen for name in one_step.names)
-        losses = torch.cat([one_step.loss for one_step in seen if one_step.loss is not None])
-        assert state.loss is not None
-        assert torch.allclose(state.loss, losses, rtol=1e-4)
-    assert states[-1].rule_state.keys() == expected_states[-1].rule_state.keys()
-    assert torch.equal(rngs[0].get_state(), rngs[1].get_state())
+        assert state.rule_state.keys() == expected.rule_state.keys()
+        if state.loss is not None:
+            assert expected.loss is not None
+            assert torch.allclose(state.loss, expected.loss, rtol=1e-4)
+    assert float((states[-1].theta["theta.w2"] - first).abs().max()) > 1e-2  # which is far more than rounding
 
 
 @needs_compiler
@@ -124,26 +117,14 @@ def test_other_instructions_give_the_same_phi(march: str, tasks: Tasks, monkeypa
     if library is None or (march == "x86-64-v3" and torch.backends.cpu.get_cpu_capability() not in ("AVX2", "AVX512")):
         pytest.skip(f"this machine does not run {march}")
     meta = meta_of(TRAINING)
-    phi = first_phi(meta, tasks)
-    expected = final_item(descend_in_c(meta, TRAINING, phi, tasks, Generator().manual_seed(2))).theta
+    expected = descend_by(steps_in_c, meta, tasks)[-1].theta
     monkeypatch.setattr(meta_sgd, "load_meta_sgd_library", lambda: library)
-    assert_near(final_item(descend_in_c(meta, TRAINING, phi, tasks, Generator().manual_seed(2))).theta, expected)
+    assert_near(descend_by(steps_in_c, meta, tasks)[-1].theta, expected)
 
 
 @needs_compiler
-@pytest.mark.parametrize("loops", [(descend_in_c, descend_in_torch), (descend_in_torch, descend_in_c)])
-def test_either_loop_goes_on_from_the_other(loops: tuple[Descend, Descend], tasks: Tasks) -> None:
-    meta = meta_of(TRAINING)
-    phi = first_phi(meta, tasks)
-    expected = final_item(descend_in_torch(meta, TRAINING, phi, tasks, Generator().manual_seed(2))).theta
-    rng = Generator().manual_seed(2)
-    cut_off = next(state for state in loops[0](meta, TRAINING, phi, tasks, rng) if state.step == 60)
-    assert_near(final_item(loops[1](meta, TRAINING, phi, tasks, rng, cut_off)).theta, expected)
-
-
-@needs_compiler
-def test_trainings_take_the_loop_in_c(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A training validates at the same steps by either loop, and has the same mean losses and validation errors."""
+def test_trainings_take_steps_in_c(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A training has the same losses and validation errors by steps in C and in torch."""
     meta = meta_of(TRAINING)
     calls: list[int] = []
     in_c = final_item(train_phi(meta.trainings[0], tasks, Generator().manual_seed(3)))
@@ -157,41 +138,35 @@ def test_trainings_take_the_loop_in_c(tasks: Tasks, monkeypatch: pytest.MonkeyPa
 
 
 @needs_compiler
-def test_a_loss_that_is_not_finite_names_its_task_and_step(tasks: Tasks) -> None:
+def test_a_loss_that_is_not_finite_is_returned(tasks: Tasks) -> None:
     target = tasks.data["target"].clone()
     target[2] = float("nan")
     tasks = replace(tasks, data={**tasks.data, "target": target})
-    meta, messages = meta_of(TRAINING), []
-    for loop in (descend_in_c, descend_in_torch):
-        descent = loop(meta, TRAINING, first_phi(meta, tasks), tasks, Generator().manual_seed(4))
-        with pytest.raises(FloatingPointError, match=r"^c: the loss is not finite at step [1-9]") as caught:
-            final_item(check_finite_losses(descent, every=1))
-        messages.append(str(caught.value))
-    assert messages[0] == messages[1]
+    states = descend_by(steps_in_c, meta_of(TRAINING), tasks)
+    (first,) = next(state.names for state in states if state.loss is not None and not state.loss.isfinite().all())
+    assert first == "c"
 
 
 @needs_compiler
 def test_trainings_that_c_lacks_are_left_to_torch(tasks: Tasks) -> None:
+    def has_steps(meta: Meta, training: MetaTraining = TRAINING, changes: Params | None = None) -> bool:
+        (checkpoint_training,) = meta.trainings
+        phi = first_phi(meta, tasks) | (changes or {})
+        loss = checkpoint_training.outer_loss(MetaParameters.unflatten(phi))
+        return meta_sgd.make_outer_steps(outer_adam(training, phi), loss, phi) is not None
+
     meta = meta_of(TRAINING)
-    phi, rng = first_phi(meta, tasks), Generator()
-    assert meta_sgd.descend_in_c(meta, TRAINING, phi, tasks, rng) is not None
+    assert has_steps(meta)
     ridge_app = RECIPES["quick"].training("ridge").app
     assert ridge_app is not None
-    general = RECIPES["paper"].general
-    double = {key: value.double() for key, value in phi.items()}
-    kinds = replace(tasks, data={**tasks.data, KIND_TENSOR: torch.zeros(6, 1, dtype=torch.uint8)})
-    augmented, rates = replace(TRAINING, augment=True), replace(TRAINING, rates={"": 1e-3, "alpha.": 1e-4})
-    curvature = Meta.of(RECIPES["quick"].app, RECIPES["quick"], "meta-curvature")
-    cases = {
-        "another loss": (meta_of(TRAINING, OwnLoss(Nbrdf(bound=0.05))), TRAINING, phi, tasks),
-        "another network": (Meta(ridge_app, meta.recipe, 4, meta.learned_rule), TRAINING, phi, tasks),
-        "another rule": (curvature, TRAINING, phi, tasks),
-        "another training": (meta, general, phi, tasks),
-        "augmentation": (meta, augmented, phi, tasks),
-        "two rates": (meta, rates, phi, tasks),
-        "an encoder": (meta, TRAINING, phi | {"encoder.w": torch.zeros(1)}, tasks),
-        "double precision": (meta, TRAINING, double, tasks),
-        "several kinds": (meta, TRAINING, phi, kinds),
-    }
-    for name, case in cases.items():
-        assert meta_sgd.descend_in_c(*case, rng) is None, name
+    double = {key: value.double() for key, value in first_phi(meta, tasks).items()}
+    assert not has_steps(meta_of(TRAINING, OwnLoss(Nbrdf(bound=0.05))))
+    assert not has_steps(Meta(ridge_app, meta.recipe, 4, meta.learned_rule))
+    assert not has_steps(Meta(meta.app, meta.recipe, 4, rule_of("meta-sgd-loss")))
+    assert not has_steps(meta, replace(TRAINING, rates={"": 1e-3, "alpha.": 1e-4}))
+    assert not has_steps(meta, changes={"encoder.w": torch.zeros(1)})
+    assert not has_steps(meta, changes=double)
+    general = General.of(meta.app, meta.recipe).trainings[0]
+    encoder = general.first_phi(None, tasks, Generator())
+    loss, rule = general.outer_loss(encoder), outer_adam(general.outer_loop, encoder.flatten())
+    assert meta_sgd.make_outer_steps(rule, loss, encoder.flatten()) is None
