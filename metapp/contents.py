@@ -9,20 +9,10 @@ from metapp.entries import Lazy
 from metapp.paradigms import PARADIGMS
 from metapp.registry import Command, Measure, Registry, TableEntry
 
-RULE_PARTS = {  # module and class of metapp.learning.rules, in the order in which parts act on a step
-    "sgd": "parts:SignedRates",
-    "rates": "parts:Rates",
-    "shared": "parts:SharedRates",
-    "solve": "solve:Solve",
-    "betas": "parts:Betas",
-    "loss": "parts:LossParameters",
-    "pace": "parts:Paces",
-    "eps": "parts:Eps",
-    "curvature": "parts:Curvature",
-    "network": "network:StepNetwork",
-    "average": "parts:Average",
-    "basis": "parts:Basis",
-}
+RULES = (  # constants of metapp.learning.rules.named_rules
+    *("meta-sgd", "meta-sgd-loss", "meta-adam", "meta-curvature", "meta-encoder", "meta-lgd", "meta-average"),
+    *("meta-axes", "meta-basis", "ridge"),
+)
 TABLES = {  # module and function of metapp.evaluation.tables, and the heading in a report
     "results": ("results:results", "Error and time"),
     "quickft": ("results:quickft", "Against as many steps of fine-tuning"),
@@ -38,30 +28,9 @@ def register(registry: Registry) -> None:
     """Add the core's applications, rules, tables and commands."""
     for application in (brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination, transport):
         application.register(registry)
-    for name, part in RULE_PARTS.items():
-        registry.parts[name] = Lazy(f"metapp.learning.rules.{part}")
-    registry.parts["newton"] = Lazy("metapp.apps.svbrdf_nonstationary.several.newton:Newton")
-    # short names that users write in compositions
-    registry.compositions["adam"] = "rates+betas"
-    registry.compositions["tied"] = "shared+pace"
-    # the paper's rule: one rate per weight, the same at every step, any sign
-    registry.rules["meta-sgd"] = "sgd"
-    # Adam with rates and betas per step, loss parameters, and steps multiplied by learned matrices from both sides
-    registry.rules["meta-curvature"] = "adam+loss+curvature"
-    # Adam with one rate per weight for all steps, times one per parameter tensor and step, and a learned eps, for
-    # recipes that start from General's encoder and train it through the steps
-    registry.rules["meta-encoder"] = "tied+betas+loss+eps"
-    # meta-encoder with a convolutional network that adds to the steps of parameters on a grid
-    registry.rules["meta-lgd"] = "meta-encoder+network"
-    # meta-encoder in the eigenbasis of the training tasks' gradients
-    registry.rules["meta-axes"] = "meta-encoder+basis"
-    # meta-axes with tail averaging, for random samples, which scatter the parameters
-    registry.rules["meta-basis"] = "meta-axes+average"
-    # ridge regression in the last layer, on learned features
-    registry.rules["ridge"] = "solve+loss"
-    # Gauss-Newton steps of the maps that several photographs show, and of their flashes
-    registry.rules["gauss-newton"] = "newton+loss"
-
+    for name in RULES:
+        registry.rules[name] = Lazy(f"metapp.learning.rules.named_rules:{name.replace('-', '_').upper()}")
+    registry.rules["gauss-newton"] = Lazy("metapp.apps.svbrdf_nonstationary.several.newton:GAUSS_NEWTON")
     for name, (table, heading) in TABLES.items():
         registry.tables[name] = TableEntry(f"metapp.evaluation.tables.{table}", heading)
     registry.measures["SSIM"] = Measure(

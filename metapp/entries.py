@@ -123,7 +123,7 @@ class Entries(UserDict[Any, Value]):
         kind: the type of all entries.
         title: the name of the table, with which errors begin.
         pairs: whether keys may also be pairs of names.
-        owners: the package that set each key; several tables that share this dictionary share their names.
+        owners: the package that set each key.
 
     >>> commands = Entries(Lazy, "commands")
     >>> commands["count"] = Lazy("mine:count")
@@ -132,12 +132,10 @@ class Entries(UserDict[Any, Value]):
     ValueError: commands count: registered by metapp, but metapp has registered it already
     """
 
-    def __init__(
-        self, kind: type[Value], title: str, *, pairs: bool = False, owners: dict[Any, str] | None = None
-    ) -> None:
+    def __init__(self, kind: type[Value], title: str, *, pairs: bool = False) -> None:
         super().__init__()
         self.kind, self.title, self.pairs = kind, title, pairs
-        self.owners: dict[Any, str] = {} if owners is None else owners
+        self.owners: dict[Any, str] = {}
 
     @override
     def __setitem__(self, key: Any, value: Value) -> None:

@@ -86,7 +86,7 @@ def unknown_in(line: str, rules: Collection[str] = ()) -> str:
     for i, word in enumerate(words):
         if word.startswith("-") and word not in known:
             return word
-        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in {*registry().rules, *rules}:
+        if word == "--rule" and words[i + 1] not in {*registry().rules, *rules}:
             return words[i + 1]
     return ""
 

@@ -43,8 +43,8 @@ BROKEN = {
     ),
     'registry.hooks.steps = Lazy("math:gcd")': "ValueError: steps of hooks: is set already",
     'registry.hooks.stepps = Lazy("math:gcd")': "AttributeError: stepps of hooks: there is no such field",
-    'registry.parts["adam"] = Lazy("math:gcd")': (
-        "ValueError: rules adam: registered by stranger, but metapp has registered it"
+    'registry.rules["ridge"] = Lazy("math:gcd")': (
+        "ValueError: rules ridge: registered by stranger, but metapp has registered it"
     ),
     'registry.commands["data merl"] = Command("math:gcd")': "commands data merl: registered by stranger, but metapp",
     'registry.commands["meta"] = Command("math:gcd")': "ValueError: commands meta: registered by stranger, but metapp",

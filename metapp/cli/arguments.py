@@ -68,7 +68,7 @@ baseline_words = _make_completer(_names_of_apps(lambda application: application.
 COMPLETION_WORDS = {  # completers of the values of options, by the option's name
     "observe": _make_completer(_names_of_apps(lambda application: application.observations)),
     "recipe": _make_completer(_names_of_apps(lambda application: application.recipe_names)),
-    "rule": _make_completer(lambda: registry().rule_words, "+"),
+    "rule": _make_completer(lambda: registry().rules),
     "export": _make_completer(fit_export_names, ","),
     "which": _make_completer(lambda: (*registry().tables, "all")),
 }

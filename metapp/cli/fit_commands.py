@@ -41,7 +41,7 @@ def make_fit_command(paradigm: str, application: Application) -> Callable[..., N
         "observe": options_by_name(FitOptions)["observe"].help if application.observations else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(application.recipe_names)}; default: the one that suits the inputs, else full.",
-        "rule": f"{', '.join(registry().rules)}; or parts joined by +, such as adam+curvature; default: the recipe's.",
+        "rule": f"{', '.join(registry().rules)}; default: the recipe's.",
     }
     inputs_argument = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_describe_inputs(application))
     json_option = typer.Option(

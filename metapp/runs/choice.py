@@ -23,7 +23,6 @@ from metapp.learning.recipe import Recipe
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, options_by_name
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import registry
 from metapp.runs.environment import find_device
 from metapp.runs.fit_options import (
     FitOptions,
@@ -379,7 +378,7 @@ def _adapt_recipe(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
 
 
 def _rule_name(options: FitOptions, recipe: Recipe) -> str:
-    """Return the unique name of a rule or of a composition of parts, the recipe's rule if options name none.
+    """Return the name of a learned rule, the recipe's rule if options name none.
 
     Raises:
         BadOption: there is no such rule, or the application cannot have it.
@@ -392,8 +391,5 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.check_app(app, theta)
     except ValueError as error:
-        words = registry().rule_words
-        unknown_words = [word for word in options.rule.split("+") if word not in words]
-        hint = did_you_mean(unknown_words[0], words) if unknown_words else ""
-        raise BadOption(f"--rule: {error}{hint}") from None
+        raise BadOption(f"--rule: {error}") from None
     return rule.name

@@ -51,9 +51,7 @@ class FitOptions:
     data: Annotated[Path | None, Option("Folder of a data set; default: the embedded data set.")] = None
     observe: Annotated[str, Option("Protocol, what fits see: reference or photo; default: what INPUT holds.")] = ""
     recipe: Annotated[str, Option("Recipe; default: the one that suits the inputs, else full.", panel=FIT)] = ""
-    rule: Annotated[
-        str, Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", panel=FIT)
-    ] = ""
+    rule: Annotated[str, Option("Name of a learned rule; default: the recipe's.", panel=FIT)] = ""
     steps: Annotated[
         int | None,
         Option("Number of gradient steps; default: the recipe's.", low=0, high=MAX_GRADIENT_STEPS, panel=FIT),

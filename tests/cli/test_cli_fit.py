@@ -336,10 +336,8 @@ overfit --seed -1                      | --seed
 evaluate --which nothing               | nothing ; results
 evaluate --format word                 | word ; markdown
 evaluate --recipe slow                 | slow ; quick
-meta --rule adam+magic                 | rule 'adam+magic': 'magic' is unknown, expected names
-meta --rule adam+tied                  | rates and shared for rates, expected one of
 meta --rule meta-lgd                   | rule 'meta-lgd': its part network does not apply to brdf: no parameter
-meta --rule adam+curvatur              | Did you mean 'curvature'?
+meta --rule meta-curvatur              | Did you mean 'meta-curvature'?
 overfit --steps 99999999999999999999   | --steps 99999999999999999999: expected 0 to 1,000,000,000
 general --train --train-steps 99999999999999999999 | --train-steps 99999999999999999999: expected 1 to 1,000,000,000
 """
@@ -385,7 +383,7 @@ general --checkpoint broken.safetensors  | not a checkpoint
 general --checkpoint foreign.safetensors | not a checkpoint
 meta --checkpoint general.safetensors    | a checkpoint of brdf general, expected brdf meta-curvature
 meta --recipe paper --rule meta-encoder  | no checkpoint ; --train
-meta --rule adam+average                 | brdf adam+average, recipe quick: no checkpoint ; --train
+meta --rule meta-average                 | brdf meta-average, recipe quick: no checkpoint ; --train
 """
 
 
@@ -416,23 +414,23 @@ def test_parameters_that_are_not_finite_are_an_error(
     assert not list(Path("runs").rglob("*.jsonl"))
 
 
-# Rules that are composed
+# Rules that ship without a checkpoint
 
 
-def test_a_composition_is_trained_and_used(fit: Callable) -> None:
-    """It is trained as the recipe's default rule is, and has one name, whatever the order of its parts."""
-    trained = fit("meta", "--rule", "curvature+adam", *STEPS, "--json", "--quiet")
+def test_a_rule_without_a_checkpoint_is_trained_and_used(fit: Callable) -> None:
+    """It is trained as the recipe's default rule is."""
+    trained = fit("meta", "--rule", "meta-adam", *STEPS, "--json", "--quiet")
     assert trained.code == 0, trained.err
-    assert trained.json_document["rule"] == "adam+curvature"
-    (path,) = Path("runs").rglob("adam+curvature.safetensors")
+    assert trained.json_document["rule"] == "meta-adam"
+    (path,) = Path("runs").rglob("meta-adam.safetensors")
     start, info = load_checkpoint(path)
-    assert info["checkpoint"] == "adam+curvature"
+    assert info["checkpoint"] == "meta-adam"
     assert info["training"]["clip"] == RECIPES["quick"].meta["meta-curvature"].clip
-    assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
-    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet", "--checkpoint", path.parent).json_document
+    assert {"rate", "beta1", "beta2", "loss"} == {name.partition(".")[0] for name in start.alpha}
+    again = fit("meta", "--rule", "meta-adam", "--json", "--quiet", "--checkpoint", path.parent).json_document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.json_document["tasks"]]
-    assert "adam+curvature" in Path(again["out"]).name
-    refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule adam+curvature")
+    assert "meta-adam" in Path(again["out"]).name
+    refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule meta-adam")
 
 
 @pytest.mark.long

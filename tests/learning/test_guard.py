@@ -151,7 +151,7 @@ def test_learned_loss_parameters_hide_nothing(start: Params, tasks: Tasks) -> No
         assert found.guarded.tolist() == [acts] * 5
 
 
-@pytest.mark.parametrize("rule", ["meta-sgd", "tied+loss+betas+average", "adam+curvature+average"])
+@pytest.mark.parametrize("rule", ["meta-sgd", "meta-average", "meta-curvature"])
 @pytest.mark.parametrize("rate", [1e-3, 1e3])
 def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     """Compositions and tail averaging, too: a good rate stays as it is, an absurd one ends below the initialisation."""

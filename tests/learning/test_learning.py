@@ -84,7 +84,7 @@ def test_descents_agree_with_the_closed_form_and_keep_the_initialisation(
     assert torch.equal(final, before) is (steps == 0)
 
 
-@pytest.mark.parametrize("rule", ["adam", *applicable_rules(APP)])
+@pytest.mark.parametrize("rule", applicable_rules(APP))
 def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: Generator) -> None:
     """With a generator for each task, its fit does not depend on the tasks beside it."""
     steps, count = 6, len(materials)

@@ -326,7 +326,7 @@ REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
     # options: tests of options have more
     ("brdf", lambertian, {"paradigm": "magic"}, "paradigm 'magic': expected one of general"),
     ("brdf", lambertian, {"paradigm": 3}, "paradigm: 3, expected str"),
-    ("brdf", lambertian, {"rule": "magic"}, r"^--rule: rule 'magic': 'magic' is unknown"),
+    ("brdf", lambertian, {"rule": "magic"}, r"^--rule: 'magic' is not a rule; expected one of"),
     ("brdf", lambertian, {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),
     *(("brdf", lambertian, {name: value}, f"^{name}: an option of the command line")
       for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items()),

@@ -14,8 +14,8 @@ QUICK = Recipe(
     finetune=Adam(3e-3, final_rate_share=0.01),
     quickft=Adam(1e-2),
     general=OuterLoop(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
-    meta={"adam+loss": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
-    rule="adam+loss",
+    meta={"meta-adam": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
+    rule="meta-adam",
     app=Curve(),
 )
 PAPER = paper_recipe(QUICK, Curve())

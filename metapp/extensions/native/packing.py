@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections import UserDict
+from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
@@ -19,20 +20,11 @@ from typing_extensions import override
 from metapp.learning.adjoint import RuleStep
 from metapp.learning.rules import META_EPS, LearnedRule, Part
 from metapp.learning.rules.descent import AdamStep, sgd_step
-from metapp.learning.rules.parts import (
-    Betas,
-    Curvature,
-    Eps,
-    LossParameters,
-    Paces,
-    Rates,
-    SharedRates,
-    SignedRates,
-)
+from metapp.learning.rules.parts import AdamDirections, Curvature, LossParameters, Rates
 from metapp.learning.task import Params
 
 # parts of learned rules that have a form in C
-C_RULE_PARTS = {SignedRates, Rates, SharedRates, Paces, Betas, Eps, Curvature, LossParameters}
+C_RULE_PARTS = (Rates, AdamDirections, LossParameters, Curvature)
 
 
 class FlatParameters(UserDict[str, Tensor]):
@@ -120,8 +112,8 @@ def pack_hyperparameters(step: RuleStep, alpha: Params, parameter_order: Paramet
         more than a step in C can.
     """
     if isinstance(step, LearnedRule):
-        parts = {type(part) for part in step.parts}
-        return _pack_parts(parts, alpha, parameter_order) if parts <= C_RULE_PARTS else None
+        has_c_form = all(type(part) in C_RULE_PARTS for part in step.parts)
+        return _pack_parts(step.parts, alpha, parameter_order) if has_c_form else None
     if step is sgd_step:
         return _pack_rates(alpha, parameter_order)
     if isinstance(step, AdamStep) and not step.weight_decay:
@@ -150,25 +142,32 @@ def _pack_rates(alpha: Params, parameter_order: ParameterOrder) -> Params:
     return {"rate": rate}
 
 
-def _pack_parts(parts: set[type[Part]], alpha: Params, parameter_order: ParameterOrder) -> Params:
+def _pack_parts(parts: Sequence[Part], alpha: Params, parameter_order: ParameterOrder) -> Params:
     """Pack the hyperparameters of a learned rule's parts; loss parameters have a task axis, as always in a step."""
     packed = {key: _add_task_axis(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}
-    if SignedRates in parts:
-        packed |= _pack_rates(alpha, parameter_order)
-    if parts & {Rates, SharedRates}:
-        log_rates = parameter_order.flatten_weights(alpha, "rate.")
-        if Paces in parts:
-            paces = [_add_task_axis(alpha[f"pace.{key}"], 0)[..., None] for key in parameter_order.shapes]
-            sizes = parameter_order.sizes.values()
-            weight_paces = [pace.expand(-1, -1, size) for pace, size in zip(paces, sizes, strict=True)]
-            log_rates = log_rates + torch.cat(weight_paces, -1)
-        packed["rate"] = torch.exp(log_rates)
-    if Betas in parts:
-        betas = [torch.sigmoid(_add_task_axis(alpha[name], 0)) for name in ("beta1", "beta2")]
-        eps = torch.exp(_add_task_axis(alpha["eps"], 0)) if Eps in parts else betas[0].new_full((1, 1), META_EPS)
-        packed["adam"] = torch.stack([*betas, eps.expand_as(betas[0])], -1)
-    if Curvature in parts:
-        names = (f"{side}.{key}" for key in parameter_order.shapes for side in ("left", "right"))
-        matrices = [_add_task_axis(alpha[name], 2).flatten(2) for name in names if name in alpha]
-        packed["matrices"] = torch.cat(matrices, -1)
+    for part in parts:
+        if isinstance(part, Rates):
+            packed |= _pack_rates_of_form(part.form, alpha, parameter_order)
+        elif isinstance(part, AdamDirections):
+            betas = [torch.sigmoid(_add_task_axis(alpha[name], 0)) for name in ("beta1", "beta2")]
+            is_learned = part.learns_eps
+            eps = torch.exp(_add_task_axis(alpha["eps"], 0)) if is_learned else betas[0].new_full((1, 1), META_EPS)
+            packed["adam"] = torch.stack([*betas, eps.expand_as(betas[0])], -1)
+        elif isinstance(part, Curvature):
+            names = (f"{side}.{key}" for key in parameter_order.shapes for side in ("left", "right"))
+            matrices = [_add_task_axis(alpha[name], 2).flatten(2) for name in names if name in alpha]
+            packed["matrices"] = torch.cat(matrices, -1)
     return packed
+
+
+def _pack_rates_of_form(form: str, alpha: Params, parameter_order: ParameterOrder) -> Params:
+    """Return the rates that a learned rule has for each weight, as "rate"; `form` is the form of :class:`Rates`."""
+    if form == "signed":
+        return _pack_rates(alpha, parameter_order)
+    log_rates = parameter_order.flatten_weights(alpha, "rate.")
+    if form == "paced":
+        paces = [_add_task_axis(alpha[f"pace.{key}"], 0)[..., None] for key in parameter_order.shapes]
+        sizes = parameter_order.sizes.values()
+        weight_paces = [pace.expand(-1, -1, size) for pace, size in zip(paces, sizes, strict=True)]
+        log_rates = log_rates + torch.cat(weight_paces, -1)
+    return {"rate": torch.exp(log_rates)}

@@ -2,19 +2,18 @@
 
 In order of reading: :mod:`descent` has the plain rules. :mod:`rule` says what a `Part` is, and how a `LearnedRule`
 passes a step through its parts. :mod:`parts` has most of the parts, :mod:`network` and :mod:`solve` have one large part
-each. `metapp.learned_rules` finds parts and rules by their names.
+each. :mod:`named_rules` composes the rules, which `metapp.learned_rules` finds by their names.
 """
 
 from metapp.learning.rules.descent import append_axes, fixed_adam, half_cosine, outer_adam, sgd
 from metapp.learning.rules.parts import META_EPS
-from metapp.learning.rules.rule import LearnedRule, Part, compose
+from metapp.learning.rules.rule import LearnedRule, Part
 
 __all__ = [
     "META_EPS",
     "LearnedRule",
     "Part",
     "append_axes",
-    "compose",
     "fixed_adam",
     "half_cosine",
     "outer_adam",

@@ -7,6 +7,8 @@ Each class says which hyperparameters it has, under which names, and what they d
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -18,97 +20,75 @@ from metapp.learning.rules.descent import adam_directions, adam_state, append_ax
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
-META_EPS = 1e-6  # Adam's eps in rules without the part "eps"
+META_EPS = 1e-6  # Adam's eps in rules that do not learn it
 TAIL_SHARE = 0.4  # the share of the steps whose parameters tail averaging averages
 # einsum of a basis and a gradient, by the axis that the basis rotates; {0} is the task axis
 BASIS_EQUATIONS = {"out": "{0}ji,{0}j...->{0}i...", "in": "{0}ji,{0}kj...->{0}ki..."}
 
 
-class SignedRates(Part):
-    """A rate of any sign for each weight, shared by all steps: `rate.<parameter>` [1, ...] (Li et al. 2017)."""
+@dataclass(frozen=True)
+class Rates(Part):
+    """A rate (step size) for each weight, `rate.<parameter>`.
 
-    name = "sgd"
-    is_rate = True
+    Attributes:
+        form: how steps share rates.
+
+            - "signed": all steps have equal rates [1, ...], of any sign (Meta-SGD, Li et al. 2017).
+            - "stepwise": each step has rates of its own; the logarithms are learned, [steps, ...].
+            - "paced": all steps have equal rates, whose logarithms [1, ...] are learned, times a factor for each
+              parameter tensor and step, whose logarithms are `pace.<parameter>` [steps]. A rule is then nearly as small
+              as one of signed rates.
+    """
+
+    form: Literal["signed", "stepwise", "paced"] = "stepwise"
+
+    name = "rates"
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the rate of `adam` for all weights."""
-        return {f"rate.{key}": torch.full_like(value, adam.rate)[None] for key, value in theta.items()}
+        """Return the half cosine of `adam` for all weights; signed rates are the first rate of `adam`."""
+        if self.form == "signed":
+            return {f"rate.{key}": torch.full_like(value, adam.rate)[None] for key, value in theta.items()}
+        rates = half_cosine(adam.rate, steps, adam.final_rate_share).log()
+        alpha = {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
+        if self.form == "stepwise":
+            return alpha
+        paces = half_cosine(1.0, steps, adam.final_rate_share).log()
+        return {key: value[:1] for key, value in alpha.items()} | {f"pace.{key}": paces.clone() for key in theta}
 
     @override
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Multiply the updates by their rates; parameters without a rate get no update."""
-        return {
-            key: append_axes(alpha[f"rate.{key}"], update) * update
-            for key, update in updates.items()
-            if f"rate.{key}" in alpha
-        }
-
-
-class Rates(Part):
-    """The logarithm of a rate for each weight and step: `rate.<parameter>` [steps, ...]."""
-
-    name = "rates"
-    is_rate = True
-
-    @override
-    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the half cosine of `adam` for all weights."""
-        rates = half_cosine(adam.rate, steps, adam.final_rate_share).log()
-        return {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
-
-    @override
-    def updates(self, alpha: Params, updates: Params) -> Params:
-        """Multiply the updates by their rates and paces; parameters without a rate get no update."""
         with_rate = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
-        return {
-            key: append_axes(torch.exp(_log_rate(alpha, key)), update) * update for key, update in with_rate.items()
-        }
+        return {key: append_axes(self._rate(alpha, key), update) * update for key, update in with_rate.items()}
+
+    def _rate(self, alpha: Params, key: str) -> Tensor:
+        """Return the rates of a parameter at one step."""
+        rate = alpha[f"rate.{key}"]
+        if self.form == "paced":
+            rate = rate + append_axes(alpha[f"pace.{key}"], rate)
+        return rate if self.form == "signed" else torch.exp(rate)
 
 
-class SharedRates(Rates):
-    """The logarithm of a rate for each weight, shared by all steps: `rate.<parameter>` [1, ...]."""
+@dataclass(frozen=True)
+class AdamDirections(Part):
+    """Adam's moments and normalised directions; `beta1` and `beta2` [steps] hold the logits of its decay factors.
 
-    name = "shared"
-
-    @override
-    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the first rate of `adam` for all weights."""
-        return {key: value[:1] for key, value in super().initial(app, theta, steps, adam).items()}
-
-
-class Paces(Part):
-    """The logarithm of a factor of rates for each parameter tensor and step: `pace.<parameter>` [steps].
-
-    With shared rates, a rule is then nearly as small as a rule of signed rates; this composition is named "tied".
+    Attributes:
+        learns_eps: whether `eps` [1] holds the logarithm of Adam's eps, which is learned; else eps is META_EPS.
     """
 
-    name = "pace"
-    needs_one_of = (Rates.name, SharedRates.name)
+    learns_eps: bool = False
+
+    name = "adam"
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the half cosine of `adam`, relative to its first rate."""
-        paces = half_cosine(1.0, steps, adam.final_rate_share).log()
-        return {f"pace.{key}": paces.clone() for key in theta}
-
-
-def _log_rate(alpha: Params, key: str) -> Tensor:
-    """Return the logarithm of a parameter's rate, times its pace if it has one."""
-    rate = alpha[f"rate.{key}"]
-    return rate + append_axes(alpha[f"pace.{key}"], rate) if f"pace.{key}" in alpha else rate
-
-
-class Betas(Part):
-    """Adam's moments and normalised directions; `beta1` and `beta2` [steps] hold the logits of its decay factors."""
-
-    name = "betas"
-
-    @override
-    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the decay factors of `adam` for all steps."""
+        """Return the decay factors of `adam` for all steps, and its eps."""
         betas = {"beta1": adam.beta1, "beta2": adam.beta2}
-        return {name: torch.full((steps,), math.log(beta / (1 - beta))) for name, beta in betas.items()}
+        alpha = {name: torch.full((steps,), math.log(beta / (1 - beta))) for name, beta in betas.items()}
+        eps = {"eps": torch.tensor([math.log(adam.eps)], dtype=torch.float64)}
+        return alpha | (eps if self.learns_eps else {})
 
     @override
     def state(self, alpha: Params, theta: Params) -> Params:
@@ -119,20 +99,8 @@ class Betas(Part):
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
         """Replace gradients by Adam's normalised directions, and return the new moments."""
         beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
-        eps = torch.exp(alpha["eps"]) if "eps" in alpha else META_EPS
+        eps = torch.exp(alpha["eps"]) if self.learns_eps else META_EPS
         return adam_directions(beta1, beta2, eps, directions, state)
-
-
-class Eps(Part):
-    """The logarithm of Adam's eps, `eps` [1], which the part "betas" reads instead of META_EPS."""
-
-    name = "eps"
-    needs_one_of = (Betas.name,)
-
-    @override
-    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return the eps of `adam`."""
-        return {"eps": torch.tensor([math.log(adam.eps)], dtype=torch.float64)}
 
 
 class LossParameters(Part):

@@ -1,12 +1,10 @@
-"""Learned rules: parts that act one after the other as one update rule, and compositions of parts by name.
+"""Learned rules: parts that act one after the other as one update rule.
 
-What is learned about a step is split into parts, so that a user can compose rules, and an ablation can leave one out.
-This module knows the points of a step at which parts act, but no part by its name.
+What is learned about a step is split into parts, so that rules can be composed, and an ablation can leave one out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,19 +42,15 @@ class Part:
     Parts of a rule share one dictionary of hyperparameters and one of memories, so that a part may read another's.
     Hence the names in both are unique among parts. Hyperparameters whose names begin with `loss.` are given to the
     application's loss, without this prefix. The four methods and :meth:`state` are pure functions of tensors: they are
-    differentiated, and draw no random numbers.
+    differentiated, and draw no random numbers. One part of a rule decides how far parameters move.
 
     Attributes:
-        name: the name in compositions such as "adam+curvature", which is also the key in the registry.
-        is_rate: whether the part decides how far parameters move; a rule has exactly one such part.
-        needs_one_of: names of parts of which a rule with this part must have at least one; () if it needs none.
+        name: the name in messages.
         statistics_prefixes: beginnings of the names of hyperparameters that follow from statistics of gradients, which
             are computed on training tasks before the outer loop and before any search of an Adam.
     """
 
     name: str
-    is_rate: bool = False
-    needs_one_of: tuple[str, ...] = ()
     statistics_prefixes: tuple[str, ...] = ()
 
     def refusal(self, app: App, theta: Params) -> str:
@@ -168,16 +162,12 @@ class LearnedRule:
     """An update rule whose hyperparameters Meta learns.
 
     Attributes:
-        name: the name of the rule or of its composition.
+        name: the name of the rule in the registry.
         parts: the parts, in the order in which they act.
     """
 
     name: str
     parts: tuple[Part, ...]
-
-    def has_part(self, part: str) -> bool:
-        """Return whether the rule has a part of this name."""
-        return any(own_part.name == part for own_part in self.parts)
 
     def check_app(self, app: App, theta: Params) -> None:
         """Refuse an application that a part does not apply to.
@@ -199,8 +189,8 @@ class LearnedRule:
     def initial_alpha(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return the hyperparameters [K, ...] before training.
 
-        With them the rule is the plain Adam `adam`, or SGD of its rate. Two things differ: a rule without the part
-        "eps" has an eps of META_EPS, and the part "average" replaces the last parameters by their mean.
+        With them the rule is the plain Adam `adam`, or SGD of its rate. Two things differ: a rule that does not learn
+        Adam's eps has an eps of META_EPS, and tail averaging replaces the last parameters by their mean.
 
         Args:
             app: the application.
@@ -268,62 +258,3 @@ class LearnedRule:
         for part in self.parts:
             alpha = part.from_statistics(alpha, sums)
         return alpha
-
-
-def compose(
-    name: str,
-    names: Sequence[str],
-    part_of: Callable[[str], Part],
-    rules: Mapping[str, str],
-    compositions: Mapping[str, str],
-) -> LearnedRule:
-    """Compose a learned rule of names of parts, rules and compositions with "+" between them, in any order.
-
-    Equal sets of parts give equal rules, under the name by which they are known.
-
-    Args:
-        name: the names, joined by "+".
-        names: names of all parts, in the order in which they act on a step.
-        part_of: a function from a name to the part; it is called for the parts of the rule.
-        rules: compositions by the name of a rule; such a name stands alone.
-        compositions: further compositions by name; such a name may also be a part of a longer one.
-
-    Raises:
-        ValueError: a name is unknown, or the parts do not go together.
-
-    >>> from metapp.learning.rules.parts import Betas, Rates
-    >>> parts = {"rates": Rates(), "betas": Betas()}
-    >>> compose("betas+rates", list(parts), parts.get, {}, {"adam": "rates+betas"}).name
-    'adam'
-    """
-
-    def expand(word: str) -> set[str]:
-        """Return the names of all parts that a name or composition stands for."""
-        if word in names:
-            return {word}
-        joined = {**compositions, **rules}.get(word) if "+" not in word else word
-        if joined is None:
-            expected = ", ".join((*rules, *compositions, *names))
-            raise ValueError(f"rule '{name}': '{word}' is unknown, expected names of these, joined by +: {expected}.")
-        return {part for inner in joined.split("+") for part in expand(inner)}
-
-    chosen = expand(name)
-    contained = {word: expand(word) for word in compositions if expand(word) <= chosen}
-    other_parts = [part for part in names if part in chosen.difference(*contained.values())]
-    known_name = next((rule for rule in rules if expand(rule) == chosen), "+".join([*contained, *other_parts]))
-    rule = LearnedRule(known_name, tuple(part_of(part) for part in names if part in chosen))
-    rates = [part.name for part in rule.parts if part.is_rate]
-    if len(rates) != 1:
-        rate_names = [part for part in names if part_of(part).is_rate]
-        holders = [f"{word} has {part}" for word in compositions for part in rate_names if part in expand(word)]
-        raise ValueError(
-            f"rule '{known_name}': {' and '.join(rates) or 'no part'} for rates, expected one of "
-            f"{', '.join(rate_names)} ({', '.join(holders)})."
-        )
-    for part in rule.parts:
-        if part.needs_one_of and not any(map(rule.has_part, part.needs_one_of)):
-            raise ValueError(
-                f"rule '{known_name}': {part.name} has no effect alone, expected {' or '.join(part.needs_one_of)} "
-                "beside it; add one of these."
-            )
-    return rule

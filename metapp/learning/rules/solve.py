@@ -71,7 +71,6 @@ class Solve(Part):
     """
 
     name = "solve"
-    is_rate = True
 
     @override
     def refusal(self, app: App, theta: Params) -> str:

@@ -44,7 +44,7 @@ __all__ = ["randn"]
 APP = Brdf()
 
 TASKS, STEPS = 3, 5
-IN_C = ["meta-sgd", "adam+loss", "meta-encoder", "meta-curvature"]
+IN_C = ["meta-sgd", "meta-adam", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
@@ -224,7 +224,7 @@ def test_settings_that_c_lacks_are_left_to_torch() -> None:
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
     mean, basis = (
         rule_of(name).update_rule(expand_tasks(move_parameters(name, rng), TASKS, 1))
-        for name in ("meta-encoder+average", "meta-axes")
+        for name in ("meta-average", "meta-axes")
     )
     ridge = RECIPES["quick"].app_with("ridge")
     cases = {

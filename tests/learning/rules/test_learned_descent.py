@@ -12,13 +12,13 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.lighting import LightField
 from metapp.apps.illumination.map_sight import MapSight
 from metapp.apps.illumination.radiance_losses import describe_maps
-from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, at_step, learn_differentiably
 from metapp.learning.app import App
 from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam
+from metapp.learning.rules.named_rules import META_ENCODER, META_SGD
 from metapp.learning.rules.network import MEMORY_CHANNELS, StepNetwork
-from metapp.learning.rules.rule import StepInput
+from metapp.learning.rules.rule import LearnedRule, StepInput
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
 from tests.learning.parabolas import refuse_to_draw
@@ -46,15 +46,15 @@ def batches_for(app: Illumination, randn: Callable[..., Tensor], count: int) -> 
     return [app.sight.observe(describe_maps(torch.exp(randn(TASKS, 3, 8, 16))), photos)._asdict() for _ in range(count)]
 
 
-@pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
+@pytest.mark.parametrize("plain", [META_ENCODER, META_SGD])
 def test_untrained_network_part_leaves_the_rule_unchanged(
-    names: tuple[str, str], app: Any, randn: Callable[..., Tensor]
+    plain: LearnedRule, app: Any, randn: Callable[..., Tensor]
 ) -> None:
     theta, batches = expand_tasks(single_task_parameters(app), TASKS, 0), batches_for(app, randn, STEPS)
     moved = []
-    for name in names:
-        alpha = rule_of(name).initial_alpha(app, single_task_parameters(app), STEPS, FIRST)
-        rule = rule_of(name).update_rule(expand_tasks(alpha, TASKS, 1))
+    for learned_rule in (LearnedRule("test", (*plain.parts, StepNetwork())), plain):
+        alpha = learned_rule.initial_alpha(app, single_task_parameters(app), STEPS, FIRST)
+        rule = learned_rule.update_rule(expand_tasks(alpha, TASKS, 1))
         moved.append(learn_differentiably(theta, rule, batches, Loss(refuse_to_draw, app.loss), order=1))
     torch.testing.assert_close(*moved, rtol=0, atol=0)
     assert not torch.equal(moved[0]["z"], theta["z"])

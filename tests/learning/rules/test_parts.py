@@ -13,8 +13,16 @@ from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import UpdateRule, at_step
 from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam, MetaTraining
-from metapp.learning.rules import META_EPS, fixed_adam, half_cosine, outer_adam, sgd
-from metapp.learning.rules.parts import Average, Basis, Curvature, tail_averaging_weights
+from metapp.learning.rules import META_EPS, LearnedRule, Part, fixed_adam, half_cosine, outer_adam, sgd
+from metapp.learning.rules.parts import (
+    AdamDirections,
+    Average,
+    Basis,
+    Curvature,
+    LossParameters,
+    Rates,
+    tail_averaging_weights,
+)
 from metapp.learning.task import Params
 from tests.paradigms.small import applicable_rules
 
@@ -85,23 +93,27 @@ ON_MATRICES = applicable_rules(APP)
 
 FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final_rate_share=0.1)
 BASIS = Basis()
+SIGNED, PACED = (Rates("signed"),), (Rates("paced"),)
+ADAM, PACED_ADAM = (Rates("stepwise"), AdamDirections()), (*PACED, AdamDirections())
 
 
-def path_of(name: str, start: Params, single: list[Params], changes: Params | None = None) -> list[Params]:
-    """The parameters of one task after each step by a composition, as it is at first but for some changes."""
-    rule = rule_of(name)
+def path_of(
+    parts: tuple[Part, ...], start: Params, single: list[Params], changes: Params | None = None
+) -> list[Params]:
+    """The parameters of one task after each step by a rule of these parts, as it is at first but for some changes."""
+    rule = LearnedRule("test", parts)
     return run(rule.update_rule(rule.initial_alpha(APP, start, len(single), FIRST) | (changes or {})), start, single)
 
 
 # What changes nothing before it has learned
 
 
-@pytest.mark.parametrize("base", ["adam", "tied+betas+eps", "sgd"])
-def test_at_first_a_part_changes_nothing(base: str, start: Params, single: list[Params]) -> None:
+@pytest.mark.parametrize("base", [ADAM, (*PACED, AdamDirections(learns_eps=True)), SIGNED])
+def test_at_first_a_part_changes_nothing(base: tuple[Part, ...], start: Params, single: list[Params]) -> None:
     """The average of one step is its result."""
-    for part in ("loss", "curvature", "basis"):
-        assert_equal(path_of(f"{base}+{part}", start, single), path_of(base, start, single))
-    assert_equal(path_of(f"{base}+average", start, single[:1]), path_of(base, start, single[:1]))
+    for part in (LossParameters(), Curvature(), BASIS):
+        assert_equal(path_of((*base, part), start, single), path_of(base, start, single))
+    assert_equal(path_of((*base, Average()), start, single[:1]), path_of(base, start, single[:1]))
 
 
 # Closed forms
@@ -111,8 +123,12 @@ def log_rates(start: Params, rate: float) -> Params:
     return {f"rate.{key}": torch.full((1, *value.shape), math.log(rate)).double() for key, value in start.items()}
 
 
+def no_paces(start: Params, steps: int) -> Params:
+    return {f"pace.{key}": torch.zeros(steps).double() for key in start}
+
+
 def test_without_moments_rates_are_of_the_gradient(start: Params, single: list[Params]) -> None:
-    after = path_of("shared", start, single[:1], log_rates(start, 0.3))
+    after = path_of(PACED, start, single[:1], log_rates(start, 0.3))
     torch.testing.assert_close(after, [{key: value - 0.3 * single[0][key] for key, value in start.items()}])
 
 
@@ -123,7 +139,7 @@ def test_betas_may_differ_from_step_to_step(start: Params, single: list[Params])
         "beta1": torch.logit(torch.tensor([b1, b2], dtype=torch.float64)),
         "beta2": torch.logit(torch.tensor([c1, c2], dtype=torch.float64)),
     }
-    first, second = path_of("shared+betas", start, single[1:3], changes | log_rates(start, rate))
+    first, second = path_of(PACED_ADAM, start, single[1:3], changes | log_rates(start, rate) | no_paces(start, 2))
     for key in start:
         g, h = single[1][key], single[2][key]
         mean = (b2 * (1 - b1) * g + (1 - b2) * h) / (1 - b1 * b2)
@@ -133,7 +149,12 @@ def test_betas_may_differ_from_step_to_step(start: Params, single: list[Params])
 
 def test_eps_divides_small_gradients(start: Params, single: list[Params]) -> None:
     """Adam's first direction is g / (|g| + eps)."""
-    (after,) = path_of("adam+eps", start, single[:1], {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)})
+    (after,) = path_of(
+        (Rates(), AdamDirections(learns_eps=True)),
+        start,
+        single[:1],
+        {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)},
+    )
     for key, value in start.items():
         grad = single[0][key]
         torch.testing.assert_close(value - after[key], FIRST.rate * grad / (grad.abs() + 0.02), rtol=1e-5, atol=1e-12)
@@ -154,9 +175,9 @@ def test_plain_descent_is_the_same_in_all_bases(start: Params, single: list[Para
         key: torch.linalg.qr(torch.randn(value.shape, generator=rng).double()).Q
         for key, value in BASIS.initial(APP, start, 1, FIRST).items()
     }
-    torch.testing.assert_close(path_of("sgd+basis", start, single, bases), path_of("sgd", start, single))
-    turned = path_of("adam+basis", start, single, bases)[0]
-    assert not torch.allclose(turned["w2"], path_of("adam", start, single)[0]["w2"])  # as Adam's is not
+    torch.testing.assert_close(path_of((*SIGNED, BASIS), start, single, bases), path_of(SIGNED, start, single))
+    turned = path_of((*ADAM, BASIS), start, single, bases)[0]
+    assert not torch.allclose(turned["w2"], path_of(ADAM, start, single)[0]["w2"])  # as Adam's is not
 
 
 def test_averaging_is_over_the_last_of_the_steps_of_a_fit() -> None:
@@ -200,7 +221,7 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 @pytest.mark.parametrize(
     "settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final_rate_share=0.1), Adam(1e-3, final_rate_share=0.0)]
 )
-@pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
+@pytest.mark.parametrize("rule", [name for name in ON_MATRICES if rule_of(name).parts[0] != Rates("signed")])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
     changed_settings = dataclasses.replace(settings, eps=1e-3)
     learned = rule_of(rule).update_rule(rule_of(rule).initial_alpha(APP, start, STEPS, changed_settings))
@@ -213,29 +234,31 @@ def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, s
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
 
 
-def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params], rng: Generator) -> None:
+def test_paced_rates_are_stepwise_rates_where_these_are_alike(
+    start: Params, single: list[Params], rng: Generator
+) -> None:
     """They agree where paces are 0 and all steps have the same rates.
 
     A pace multiplies the rates of one tensor at one step.
     """
-    tied = {
+    paced_rates = {
         key: value + torch.randn(value.shape, generator=rng).double() for key, value in log_rates(start, 5e-3).items()
     }
-    free = {key: value.repeat(STEPS, *[1] * (value.ndim - 1)) for key, value in tied.items()}
-    tied |= {f"pace.{key}": torch.zeros(STEPS).double() for key in start}
-    path = path_of("tied+betas", start, single, tied)
-    assert_same(path, path_of("adam", start, single, free))
-    tied["pace.w2"][3] = math.log(3)
-    free["rate.w2"][3] += math.log(3)
-    paced = path_of("tied+betas", start, single, tied)
-    assert_same(paced, path_of("adam", start, single, free))
-    torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
+    stepwise = {key: value.repeat(STEPS, *[1] * (value.ndim - 1)) for key, value in paced_rates.items()}
+    paced_rates |= no_paces(start, STEPS)
+    path = path_of(PACED_ADAM, start, single, paced_rates)
+    assert_same(path, path_of(ADAM, start, single, stepwise))
+    paced_rates["pace.w2"][3] = math.log(3)
+    stepwise["rate.w2"][3] += math.log(3)
+    faster = path_of(PACED_ADAM, start, single, paced_rates)
+    assert_same(faster, path_of(ADAM, start, single, stepwise))
+    torch.testing.assert_close(faster[3]["w2"] - faster[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
 
 
 def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params], rng: Generator) -> None:
     left, right = (torch.randn(1, 21, 21, generator=rng).double() for _ in "lr")
-    (bent,) = path_of("adam+curvature", start, single[:1], {"left.w2": left, "right.w2": right})
-    (straight,) = path_of("adam", start, single[:1])
+    (bent,) = path_of((*ADAM, Curvature()), start, single[:1], {"left.w2": left, "right.w2": right})
+    (straight,) = path_of(ADAM, start, single[:1])
     torch.testing.assert_close(bent["w2"] - start["w2"], left[0] @ (straight["w2"] - start["w2"]) @ right[0])
     torch.testing.assert_close(bent | {"w2": straight["w2"]}, straight)
 
@@ -243,7 +266,7 @@ def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params
 @pytest.mark.parametrize("steps", [1, 4, 5, 15])
 def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start: Params, rng: Generator) -> None:
     grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
-    path, averaged = (path_of(name, start, grads) for name in ("tied+betas", "tied+betas+average"))
+    path, averaged = (path_of(parts, start, grads) for parts in (PACED_ADAM, (*PACED_ADAM, Average())))
     assert_same(averaged[:-1], path[:-1])
     last = path[-max(round(0.4 * steps), 1) :]
     torch.testing.assert_close(

@@ -8,17 +8,17 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, learn_differentiably
 from metapp.learning.learn import expand_tasks, learn
 from metapp.learning.recipe import Adam
+from metapp.learning.rules import LearnedRule
 from metapp.learning.rules.solve import MAX_PENALTY, MIN_PENALTY, ROUNDING_FACTOR, NormalEquations, Solve
 from metapp.learning.task import Batch, LeastSquares, Params
 from tests.learning.parabolas import refuse_to_draw
 from tests.paradigms.small import FEATURE_NETWORK, small_app
 
 TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
-SOLVE = rule_of("solve")
+SOLVE = LearnedRule("solve", (Solve(),))
 
 
 def linear(theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:

@@ -28,7 +28,8 @@ from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
 from metapp.learning.composed import ComposedApp
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import append_axes
+from metapp.learning.rules import LearnedRule, append_axes
+from metapp.learning.rules.parts import LossParameters
 from metapp.learning.rules.rule import Part
 from metapp.learning.task import Batch, Params
 
@@ -82,7 +83,6 @@ class Newton(Part):
     """
 
     name = "newton"
-    is_rate = True
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
@@ -105,6 +105,9 @@ class Newton(Part):
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Multiply the changes [T, ...] by the length of this step, whose log is `length` [T] in `alpha`."""
         return {key: append_axes(torch.exp(alpha["length"]), change) * change for key, change in updates.items()}
+
+
+GAUSS_NEWTON = LearnedRule("gauss-newton", (Newton(), LossParameters()))
 
 
 def _find_sight(app: App) -> PhotoSetSight | None:
