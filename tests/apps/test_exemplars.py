@@ -12,7 +12,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, move_tiles
+from metapp.apps.exemplar.app import ExemplarApp, move_tiles
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
 from metapp.apps.svbrdf_stationary.quilted import SOFTNESS_WEIGHT, QuiltedSvbrdf
@@ -69,7 +69,7 @@ def test_recipes_of_the_paper_have_its_settings(name: str, steps: int, tasks: in
     assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
     rng = Generator().manual_seed(0)
     app: Any = recipe.app
-    assert draw_noise(app, rng, 1, 1).shape == (1, 1, 8, *size)
+    assert app.draw_noise(rng, 1, 1).shape == (1, 1, 8, *size)
     assert 5e5 < sum(value.numel() for value in app.init(rng, 1).values()) < 5e6
     photos = torch.rand(1, 3, 256, 256, generator=rng)
     rows = (256 - size[0]) // 2
@@ -247,7 +247,7 @@ def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: ExemplarApp
 def test_tiles_move_with_noise_and_shrink_to_octaves(app: ExemplarApp, pavement: Tasks) -> None:
     rng, quilt = Generator().manual_seed(0), pavement.data["quilt"]
     for octave in (0, 1):
-        moved = move_tiles(quilt, draw_noise(app, rng, 2, 2, octave=octave))
+        moved = move_tiles(quilt, app.draw_noise(rng, 2, 2, octave=octave))
         small = avg_pool2d(quilt, 2**octave)
         side = small.shape[-1]
         assert moved.shape == (2, 2, 3, side, side)
@@ -274,7 +274,7 @@ def test_networks_read_quilts_without_mean_and_of_one_contrast(pavement: Tasks) 
 def test_generated_pictures_follow_their_quilt(app: ExemplarApp, pavement: Tasks) -> None:
     """The network reads it, and the loss counts how far pictures are from it."""
     rng = Generator().manual_seed(0)
-    noise = draw_noise(app, rng, 2, 1)
+    noise = app.draw_noise(rng, 2, 1)
     theta = app.init(rng, 2) | app.task_parameters(pavement)
     other = theta | {"quilt": theta["quilt"].flip(0)}
     assert not torch.equal(*(app.generate(fit, noise).roughness for fit in (theta, other)))

@@ -10,7 +10,7 @@ from metapp.appearance.flash import camera_position, render_maps, texel_position
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.lattice import even_out_contrast
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
-from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
+from metapp.apps.exemplar.app import PictureChanges, turn_picture
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_stationary.quilted import (
     QuiltedSvbrdf,
@@ -235,4 +235,4 @@ def test_shipped_recipe_reads_quilts_without_noise() -> None:
     app = recipes_of("svbrdf_stationary")["full"].app
     assert isinstance(app, QuiltedSvbrdf)
     assert (app.network.noise, app.network.quilt, app.cells) == (0, 3, (256, 256))
-    assert draw_noise(app, Generator().manual_seed(0), 1, 1).shape == (1, 1, 2, 256, 256)
+    assert app.draw_noise(Generator().manual_seed(0), 1, 1).shape == (1, 1, 2, 256, 256)

@@ -15,7 +15,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import ResizedTile, make_piece_source, order_penalty, quilt_places
+from metapp.apps.exemplar.quilts import ResizedTile, lost_order, make_piece_source, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.texture import baselines
@@ -93,7 +93,7 @@ def test_the_best_candidate_is_taken(task: Task) -> None:
     for candidates in (1, 4):
         quilts = replace(APP, candidates=candidates).make_targets(exemplar)["quilt"]
         distance = APP.statistics.gram_distance(avg_pool2d(quilts, 2)[:, None], small_targets)
-        errors.append(float(distance) + order_penalty(lattice, quilts[0]))
+        errors.append(float(distance) + 0.3 * lost_order(lattice, quilts[0], 0.9))
     assert errors[1] <= errors[0]
 
 
@@ -107,9 +107,9 @@ def test_order_is_kept(task: Task, theta: Params) -> None:
 def test_lost_order_costs(candidate: int) -> None:
     exemplar = pavement(64).float() / 255
     lattice = find_lattice(exemplar)
-    assert order_penalty(lattice, exemplar) == 0
+    assert lost_order(lattice, exemplar, 0.9) == 0
     scattered = exemplar.flatten(1)[:, torch.randperm(64 * 64, generator=Generator().manual_seed(candidate))]
-    assert order_penalty(lattice, scattered.unflatten(1, (64, 64))) > 0.15
+    assert lost_order(lattice, scattered.unflatten(1, (64, 64)), 0.9) > 0.5
 
 
 def test_files_have_the_resolution_of_the_photograph(task: Task, theta: Params) -> None:

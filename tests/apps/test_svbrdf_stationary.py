@@ -10,7 +10,7 @@ from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, srgb_to
 from metapp.appearance.flash import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, map_statistics
-from metapp.apps.exemplar.app import FILE_SIDE_TIMES, PictureChanges, draw_noise
+from metapp.apps.exemplar.app import FILE_SIDE_TIMES, PictureChanges
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_stationary.app import (
     GLOSS_WEIGHT,
@@ -173,7 +173,7 @@ def test_light_position_is_found_from_the_highlight(sources: list[Task], tasks: 
 def test_maps_stay_in_their_ranges(scale: float) -> None:
     app, theta = TINY, TINY.init(seeded(), 2)
     theta["out.kernel"] = scale * theta["out.kernel"]
-    maps, height = app.generate_maps(theta, draw_noise(app, seeded(), 2, 3))
+    maps, height = app.generate_maps(theta, app.draw_noise(seeded(), 2, 3))
     leading = (2, 3)
     assert [tuple(picture.shape) for picture in (*maps, height)] == [
         (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
@@ -273,7 +273,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
-    (maps, _), place = app.generate_maps(theta, draw_noise(app, seeded(), 1, 1)), camera_position()
+    (maps, _), place = app.generate_maps(theta, app.draw_noise(seeded(), 1, 1)), camera_position()
     whole = Maps(*(part[0] for part in maps))
 
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
@@ -294,7 +294,7 @@ def test_references_under_other_lights_are_compared(sources: list[Task]) -> None
 def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
     app = TINY
     theta = app.init(seeded(), 1)
-    noise = draw_noise(app, seeded(), 1, 1)
+    noise = app.draw_noise(seeded(), 1, 1)
     statistics = map_statistics(app.generate_maps(theta, noise)[0])[0]
     image = sources[0].data["image"]
 
@@ -387,7 +387,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
     theta = KEPT.encode(encoder, KEPT.encoder_input(tasks, seeded()))
-    maps, _ = KEPT.generate_maps(theta, draw_noise(KEPT, seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    maps, _ = KEPT.generate_maps(theta, KEPT.draw_noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))

@@ -9,7 +9,7 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import TimedFit
-from metapp.apps.exemplar.app import JUDGED_PICTURES, draw_noise
+from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.app import MIN_CROP_SHARE, GramStatistics, Texture
 from metapp.learning.app import stack_tasks
@@ -65,7 +65,7 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     theta = app.init(seeded(), 4)
     errors = app.errors(theta, tasks)["error"]
     alone = {key: value[2:3] for key, value in theta.items()}
-    noise = draw_noise(app, seeded(), 1, JUDGED_PICTURES)
+    noise = app.draw_noise(seeded(), 1, JUDGED_PICTURES)
     batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
     torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
 

@@ -120,11 +120,43 @@ class ExemplarApp(App):
             octave: the octave, 0 for the whole size.
         """
 
+    @property
+    def noise_channels(self) -> int:
+        """The number of channels of noise: the network's, but at least MIN_NOISE_CHANNELS."""
+        channels: int = max(self.network.noise, MIN_NOISE_CHANNELS)
+        return channels
+
+    def draw_noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
+        """Draw standard normal noise [tasks, count, C, h, w] of pictures of each task, of the size of an octave."""
+        return draw_normal(rng, tasks, count, self.noise_channels, *self.octaves.octave_size(octave))
+
+    def fixed_noise(self, like: Tensor, count: int, octave: int = 0) -> Tensor:
+        """Return noise that is equal for all tasks and that no fit draws, [tasks, count, C, h, w].
+
+        Args:
+            like: a tensor with one entry a task, on the device that noise is to be on.
+            count: the number of pictures of each task.
+            octave: the octave whose size pictures have, 0 for the whole size.
+        """
+        noise = self.draw_noise(Generator(like.device).manual_seed(0), 1, count, octave)
+        return noise.expand(len(like), -1, -1, -1, -1)
+
+    def shown_noise(self, like: Tensor, size: tuple[int, int] | None = None) -> Tensor:
+        """Return the noise of the picture that is written and shown, [tasks, 1, C, height, width], one for all fits.
+
+        Args:
+            like: a tensor with one entry a task, on the device that noise is to be on.
+            size: height and width of the picture; None for the exemplar's.
+        """
+        rng = Generator(like.device).manual_seed(SHOWN_SEED)
+        noise = draw_normal(rng, 1, 1, self.noise_channels, *(size or self.octaves.octave_size()))
+        return noise.expand(len(like), -1, -1, -1, -1)
+
     @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Measure pictures from noise that no fit draws, equal for all tasks."""
-        return self.errors_of(self.generate(theta, fixed_noise(self, tasks.rows, JUDGED_PICTURES)), tasks)
+        return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
 
     def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Measure pictures or maps that need not come from the network; see :meth:`Statistics.errors`."""
@@ -221,37 +253,6 @@ def turn_picture(picture: Tensor, is_flipped: bool, is_transposed: bool) -> Tens
     """Flip a picture [..., H, W] from left to right, then exchange rows and columns, each if that is asked for."""
     picture = picture.flip(-1) if is_flipped else picture
     return picture.mT if is_transposed else picture
-
-
-def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octave: int = 0) -> Tensor:
-    """Draw standard normal noise [tasks, count, C, h, w] of `count` pictures of each task, of the size of an octave."""
-    return draw_normal(rng, tasks, count, noise_channels(app), *app.octaves.octave_size(octave))
-
-
-def noise_channels(app: ExemplarApp) -> int:
-    """Return the number of channels of noise: the network's, but at least MIN_NOISE_CHANNELS."""
-    channels: int = max(app.network.noise, MIN_NOISE_CHANNELS)
-    return channels
-
-
-def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
-    """Return noise that is equal for all tasks and that no fit draws, [tasks, count, C, h, w].
-
-    Args:
-        app: the application.
-        like: a tensor with one entry a task, on the device that noise is to be on.
-        count: the number of pictures of each task.
-        seed: the seed of the draw.
-        octave: the octave whose size pictures have, 0 for the whole size.
-    """
-    rng = Generator(like.device).manual_seed(seed)
-    return draw_noise(app, rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
-
-
-def shown_noise(app: ExemplarApp, like: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return the noise [1, 1, C, height, width] of the picture that is written and shown, one for all fits."""
-    rng = Generator(like.device).manual_seed(SHOWN_SEED)
-    return draw_normal(rng, 1, 1, noise_channels(app), *size)
 
 
 def move_tiles(tiles: Tensor, noise: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from metapp.appearance.lines import compare_lines
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings
-from metapp.apps.exemplar.app import SHOWN_SEED, ExemplarApp, fixed_noise, shown_noise
+from metapp.apps.exemplar.app import ExemplarApp
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.networks.quilted import copied_share, repeated_share, seam_strength
 
@@ -67,7 +67,8 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         Returns:
             What `make` returns.
         """
-        return make(add_task_axis(theta), shown_noise(self.app, theta["z"], self.app.octaves.octave_size()))
+        theta = add_task_axis(theta)
+        return make(theta, self.app.shown_noise(theta["z"]))
 
     @override
     @torch.no_grad()
@@ -81,7 +82,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         if quilts is None:
             return super().quality_warnings(theta, tasks)
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        prediction = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
+        prediction = app.generate(theta, app.shown_noise(tasks.rows))
         exemplars = app.octaves.take_exemplar(data["image"].float() / 255)
         pictures = exemplars, statistics.render_prediction(prediction, data)[:, 0]
         collapse_warnings = [

@@ -6,6 +6,7 @@ Fits begin at the best of several quilts.
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.appearance.lattice import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share, remove_quadratic_trend
+from metapp.appearance.lattice import Lattice, find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.quilting import quilt_pixel_numbers
 from metapp.appearance.stretch import apply_stretch, find_stretch
 from metapp.apps.exemplar.exemplar_statistics import Statistics
@@ -136,42 +137,46 @@ def choose_quilt(
     Returns:
         The places [2, rows, columns] and the picture [3, H, W] of the best quilt.
     """
-    octave, size = min(1, statistics.octaves.count - 1), (exemplar.shape[1], exemplar.shape[2])
-
-    def compute_grams(picture: Tensor) -> list[Tensor]:
-        small_picture = avg_pool2d(picture[None], 2**octave) if octave else picture[None]
-        return [gram(features) for features in statistics.compute_features(small_picture, octave)]
-
-    lattice, exemplar_grams = find_lattice(even), compute_grams(exemplar) if candidates > 1 else []
+    lattice, size = find_lattice(even), (exemplar.shape[1], exemplar.shape[2])
     small = interpolate(even[None], size=cells, mode="area")[0]
     if avoided is not None:
         avoided = interpolate(avoided[None, None].float(), size=cells, mode="area")[0, 0] > 0.5
     sources = [make_piece_source(small, cells, stretches=stretches, avoided=avoided) for stretches in (True, False)]
     repetition_weight = find_repetition_weight(lattice)
-    quilts = []
-    for candidate in range(candidates):
-        source = sources[candidate // len(BLOCKS) % 2]
-        blocks, rng = BLOCKS[candidate % len(BLOCKS)], np.random.default_rng(candidate)
+
+    def quilt(candidate: int) -> tuple[Tensor, Tensor]:
+        """Return the places and the picture of a quilt."""
+        source, blocks = sources[candidate // len(BLOCKS) % 2], BLOCKS[candidate % len(BLOCKS)]
+        rng = np.random.default_rng(candidate)
         places = quilt_places(source, cells, blocks, rng, repetition_weight=repetition_weight)
-        picture = fetch_pieces(even, places, size, cells).clamp(0, 1)
-        cost = 0.0
-        if candidates > 1:
-            distance = statistics_distance(compute_grams(picture), exemplar_grams)
-            cost = float(distance) + order_penalty(lattice, picture) + repetition_penalty(lattice, places, cells)
-            if avoided is not None:
-                y, x = ((place * count).long().clamp(0, count - 1) for place, count in zip(places, cells, strict=True))
-                cost += AVOIDED_SHARE_WEIGHT * float(avoided[y, x].float().mean())
+        return places, fetch_pieces(even, places, size, cells).clamp(0, 1)
+
+    if candidates == 1:
+        return quilt(0)
+    octave = min(1, statistics.octaves.count - 1)
+
+    def compute_grams(picture: Tensor) -> list[Tensor]:
+        small_picture = avg_pool2d(picture[None], 2**octave) if octave else picture[None]
+        return [gram(features) for features in statistics.compute_features(small_picture, octave)]
+
+    exemplar_grams, quilts = compute_grams(exemplar), []
+    for candidate in range(candidates):
+        places, picture = quilt(candidate)
+        cost = float(statistics_distance(compute_grams(picture), exemplar_grams))
+        cost += ORDER_WEIGHT * lost_order(lattice, picture, ORDER_GOAL) + repetition_penalty(lattice, places, cells)
+        if avoided is not None:
+            y, x = ((place * count).long().clamp(0, count - 1) for place, count in zip(places, cells, strict=True))
+            cost += AVOIDED_SHARE_WEIGHT * float(avoided[y, x].float().mean())
         quilts.append((cost, candidate, places, picture))
     quilts.sort()  # seams, which take the longest, are measured of quilts alone that may still be the best
-    best, least = quilts[0], float("inf")
-    for quilt in quilts if candidates > 1 else ():
-        cost, _, places, picture = quilt
+    best, least = quilts[0][2:], float("inf")
+    for cost, _, places, picture in quilts:
         if cost >= least:
             break
-        cost += SEAM_EXCESS_WEIGHT * max(0.0, seam_strength(even, picture, places, cells) - 1)
-        if cost < least:
-            best, least = quilt, cost
-    return best[2], best[3]
+        whole_cost = cost + SEAM_EXCESS_WEIGHT * max(0.0, seam_strength(even, picture, places, cells) - 1)
+        if whole_cost < least:
+            best, least = (places, picture), whole_cost
+    return best
 
 
 def find_repetition_weight(lattice: Lattice) -> float:
@@ -190,12 +195,16 @@ def repetition_penalty(lattice: Lattice, places: Tensor, cells: tuple[int, int])
     return 0.0 if lattice.repeats else REPEATED_SHARE_WEIGHT * repeated_share(places, cells)
 
 
-def order_penalty(lattice: Lattice, picture: Tensor) -> float:
-    """Return the penalty on a picture that has lost a part of an exemplar's order; 0 if the exemplar has none."""
-    if lattice.score <= MIN_LATTICE_SCORE:
-        return 0.0
-    # the share is NaN where no vector of the lattice fits: max(0.0, nan) is 0.0, no penalty
-    return ORDER_WEIGHT * max(0.0, ORDER_GOAL - kept_order_share(lattice, picture))
+def lost_order(lattice: Lattice, picture: Tensor, goal: float) -> float:
+    """Return how far the share of an exemplar's order that a picture keeps lies below a goal; 0 without order.
+
+    Args:
+        lattice: the exemplar's lattice.
+        picture: display values [3, H, W].
+        goal: the share of order that a picture should keep, up to 1.
+    """
+    share = kept_order_share(lattice, picture)
+    return 0.0 if math.isnan(share) else max(0.0, goal - share)
 
 
 def count_tile_cells(size: tuple[int, int], photo_size: tuple[int, int], cells: tuple[int, int]) -> tuple[int, int]:
@@ -237,13 +246,10 @@ def resize_tile(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Resiz
         block, overlap = (length * min(cells) // BLOCK_CELLS for length in BLOCKS[(1 + candidate) % len(BLOCKS)])
         blocks, source = (max(4, block), max(1, overlap)), sources[candidate % 2]
         places = quilt_places(source, tile_cells, blocks, rng, repetition_weight=repetition_weight)
-        lost_order = 0.0
-        if lattice.score > MIN_LATTICE_SCORE:
-            # 0 where the share is NaN
-            lost_order = max(0.0, 1 - kept_order_share(lattice, fetch_pieces(colours, places, tile_cells, cells)))
-        if lost_order < least:
-            best, least = places, lost_order
-        if not lost_order:
+        lost = lost_order(lattice, fetch_pieces(colours, places, tile_cells, cells), 1.0)
+        if lost < least:
+            best, least = places, lost
+        if not lost:
             break
     return ResizedTile(fetch_pieces(layers, best, size, cells), fetch_pieces(colours, best, tile_cells, cells))
 

@@ -19,9 +19,6 @@ from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statist
 from metapp.apps.exemplar.app import (
     ExemplarApp,
     PictureChanges,
-    draw_noise,
-    fixed_noise,
-    shown_noise,
 )
 from metapp.apps.svbrdf_stationary.flash_statistics import (
     LEAST_ROUGHNESS,
@@ -118,7 +115,7 @@ class SvbrdfStationary(ExemplarApp):
     def _mean_gloss(self, theta: Params) -> Tensor:
         """Return mean logits of specular and roughness [T, 2] of small maps, from noise that is equal for all tasks."""
         coarsest = self.octaves.count - 1
-        noise = fixed_noise(self, theta["z"], 1, octave=coarsest)
+        noise = self.fixed_noise(theta["z"], 1, coarsest)
         maps = self.generate(theta, noise, coarsest)
         return torch.stack([values.mean((1, 2, 3, 4)) for values in encode_gloss(maps.specular, maps.roughness)], -1)
 
@@ -158,7 +155,7 @@ class SvbrdfStationary(ExemplarApp):
         """Draw `noise` [T, count, C, H, W] and numbers of `windows` [T, N], and add the photos' statistics in these."""
         order = torch.randperm(WINDOW_COUNT, generator=rng, device=rng.device)
         windows = order[:DRAWN_WINDOWS].expand(len(tasks), -1)
-        noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
+        noise = self.draw_noise(rng, len(tasks), count, self.octaves.find_octave(tasks.data))
         return {"noise": noise, "windows": windows} | self.statistics.targets(tasks, windows)
 
     @override
@@ -229,7 +226,7 @@ class SvbrdfStationary(ExemplarApp):
         Returns:
             Maps [C, H, W], and their height [1, H, W] in texels.
         """
-        maps, heights = self.generate_maps(theta, shown_noise(self, theta["z"], self.file_size(size)))
+        maps, heights = self.generate_maps(theta, self.shown_noise(theta["z"], self.file_size(size)))
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
     def photo_share(self, task: Task, size: tuple[int, int] | None) -> float:
@@ -239,7 +236,7 @@ class SvbrdfStationary(ExemplarApp):
 
 def _gloss_deviation(maps: Maps, expected: Tensor) -> Tensor:
     """Return the mean squared deviation of specular and, weighted, of roughness from expected logits [T, 2]: [T]."""
-    expected = expected.detach() + 0 * expected  # so that it has a gradient, 0, and no step moves it
+    expected = expected.detach()  # no step moves it
     specular, roughness = (
         (values - expected_values[:, None, None, None, None]).square().mean((1, 2, 3, 4))
         for values, expected_values in zip(encode_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)

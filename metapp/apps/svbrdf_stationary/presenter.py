@@ -20,7 +20,6 @@ from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warni
 from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
-from metapp.apps.exemplar.app import SHOWN_SEED, fixed_noise
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
@@ -102,7 +101,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         if self.app.find_quilts(theta) is None:
             return warnings
         images = tasks.data["image"][tasks.rows].float() / 255
-        maps = self.app.generate(theta, fixed_noise(self.app, tasks.rows, 1, seed=SHOWN_SEED))
+        maps = self.app.generate(theta, self.app.shown_noise(tasks.rows))
         return [
             clauses + clipped_highlight_warnings(image, F0_BOUND_CLAUSE) + _doubt_relief(normal)
             for clauses, image, normal in zip(warnings, images, maps.normal, strict=True)

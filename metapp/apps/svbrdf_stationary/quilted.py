@@ -21,9 +21,7 @@ from metapp.appearance.highlight import remove_shading
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.exemplar.app import (
-    SHOWN_SEED,
     PictureChanges,
-    fixed_noise,
     move_tiles,
     turn_picture,
 )
@@ -177,7 +175,7 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
             Maps [C, H, W], and their height [1, H, W] in texels.
         """
         quilt = theta["quilt"]
-        noise = fixed_noise(self, quilt, 1, seed=SHOWN_SEED)[:, :, : self.network.noise]
+        noise = self.shown_noise(quilt)[:, :, : self.network.noise]
         raw = remove_slow_changes(self.network(theta, noise, normalise_quilts(quilt[:, None]))[0])
         fine_quilt = self.fetch_quilt(theta, task, "the maps have").clamp(0, 1)
         photo_size = fine_quilt.shape[-2], fine_quilt.shape[-1]

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, shown_noise
+from metapp.apps.exemplar.app import ExemplarApp
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.random_tensors import draw_uniform
@@ -87,7 +87,7 @@ class Texture(ExemplarApp):
         Returns:
             The texture [3, H, W], sRGB in [0, 1].
         """
-        return self.generate(theta, shown_noise(self, theta["z"], self.file_size(size)))[0, 0]
+        return self.generate(theta, self.shown_noise(theta["z"], self.file_size(size)))[0, 0]
 
     def take_file_exemplar(self, task: Task) -> Tensor:
         """Return the exemplar [3, H, W], sRGB in [0, 1], in which structures are as large as in files."""
@@ -96,7 +96,7 @@ class Texture(ExemplarApp):
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `noise` [T, count, C, H, W] of textures, and add what these are compared with."""
-        noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
+        noise = self.draw_noise(rng, len(tasks), count, self.octaves.find_octave(tasks.data))
         return {"noise": noise} | self.statistics.targets(tasks)
 
     @override

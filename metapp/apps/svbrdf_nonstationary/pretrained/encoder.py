@@ -39,9 +39,8 @@ from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     add_polish,
+    polish_shift,
     predict_roughness,
-    roughness_shift,
-    scale_roughness,
 )
 from metapp.learning.composed import Encoder
 from metapp.learning.task import Batch, Params
@@ -108,7 +107,7 @@ class FeatureEncoder(Encoder[Any]):
         # training sees slopes as the network makes them
         is_final = encoder_input["slopes_are_final"] > 0
         maps = maps._replace(normal=torch.where(is_final, finished.normal, maps.normal))
-        return shift_roughness(theta, maps, read["shown"], encoder_input["camera_height"])
+        return match_highlight(theta, maps, read["shown"], encoder_input["camera_height"])
 
 
 def init_reader(rng: Generator, code: int) -> Params:
@@ -239,7 +238,7 @@ def _compute_vgg_features(balanced: Tensor) -> list[Tensor]:
     return features
 
 
-def shift_roughness(theta: Params, maps: Maps, shown: Tensor, height: Tensor) -> Params:
+def match_highlight(theta: Params, maps: Maps, shown: Tensor, height: Tensor) -> Params:
     """Shift the roughness of the mean of two fields to the roughness that a sharp highlight shows.
 
     Args:
@@ -248,6 +247,6 @@ def shift_roughness(theta: Params, maps: Maps, shown: Tensor, height: Tensor) ->
         shown: the roughness that :func:`predict_roughness` returns, [T].
         height: heights of cameras in half sides of the patch, [T, 1], 0 where they are not known.
     """
-    shift = roughness_shift(shown, maps, scale_roughness(shown, height[:, 0])) / (1 - SECOND_SHARE)
+    shift = polish_shift(shown, maps, height[:, 0]) / (1 - SECOND_SHARE)
     roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
     return theta | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

@@ -73,6 +73,8 @@ class TrainingPhoto(NamedTuple):
 class FeatureSight(PhotoSight):
     """The sight of one photograph; training sees windows of photographs, too."""
 
+    fills: bool = True
+
     seen_type = FitPhoto
 
     @override
@@ -104,6 +106,4 @@ class FeatureSight(PhotoSight):
     @override
     def fill(self, answer: PhotographedMaps, photo: Tensor) -> Maps:
         """Remove scars of highlights; see :func:`remove_scars`. Then fill maps where photographs clip."""
-        if not self.fills:
-            return answer.maps
         return super().fill(answer._replace(maps=remove_scars(answer.maps, photo, answer.flash)), photo)

@@ -61,7 +61,7 @@ def scale_roughness(shown: Tensor, height: Tensor) -> Tensor:
     return torch.where(height > 0, shown * (camera_distance() / height.clamp_min(1e-6)).sqrt(), shown)
 
 
-def roughness_shift(shown: Tensor, maps: Maps, true_roughness: Tensor | None = None) -> Tensor:
+def polish_shift(shown: Tensor, maps: Maps, height: Tensor) -> Tensor:
     """Return the shift [T] of unbounded roughness that moves maps to the roughness which the highlight shows.
 
     It goes all the way where that is far below POLISHED_ROUGHNESS and the maps are far flatter than FLAT_SINE, else it
@@ -70,11 +70,9 @@ def roughness_shift(shown: Tensor, maps: Maps, true_roughness: Tensor | None = N
     Args:
         shown: the roughness that `predict_roughness` returns, [T].
         maps: the maps [T, C, h, w].
-        true_roughness: the roughness [T] that polished surfaces get, where the height of the flash corrects `shown`;
-            None for `shown`.
+        height: heights of cameras in half sides of the patch, [T], 0 where they are not known.
     """
     mean_roughness = maps.roughness.mean((1, 2, 3))
     polished, flatness = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt_sine(maps.normal).mean((1, 2, 3))
     share = torch.sigmoid(polished.log() / LOG_SOFTNESS) * torch.sigmoid(flatness.log() / LOG_SOFTNESS)
-    true_roughness = shown if true_roughness is None else true_roughness
-    return share * (encode_roughness(true_roughness) - encode_roughness(mean_roughness))
+    return share * (encode_roughness(scale_roughness(shown, height)) - encode_roughness(mean_roughness))

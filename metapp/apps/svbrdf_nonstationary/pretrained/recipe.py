@@ -20,7 +20,7 @@ from metapp.networks.field import LocalField
 
 def of_features(network: LocalField) -> SvbrdfNonstationary:
     """Return the application whose fits of one photograph begin at General's maps by features of VGG-16."""
-    decoder, sight = MeanFieldMaps(network, "raised"), FeatureSight(fills=True)
+    decoder, sight = MeanFieldMaps(network, "raised"), FeatureSight()
     return SvbrdfNonstationary(decoder, sight, FeatureJudge(), FeatureEncoder(), FINEST_PX)
 
 
