@@ -124,8 +124,8 @@ def test_only_the_command_line_prints_or_exits() -> None:
 
 
 def test_nothing_is_unpickled() -> None:
-    """The public weights of VGG are the exception; tests/extensions/vgg checks that hashes are compared first."""
-    assert files_with(UNPICKLES) == ["metapp/extensions/vgg/weights.py"]
+    """Public weights are the exception; tests/extensions/{measures,vgg} check that hashes are compared first."""
+    assert files_with(UNPICKLES) == ["metapp/extensions/measures/perceptual.py", "metapp/extensions/vgg/weights.py"]
 
 
 def test_every_extension_is_offered() -> None:

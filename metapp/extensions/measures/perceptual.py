@@ -10,10 +10,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
+import io
 import math
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
@@ -32,8 +32,6 @@ WEIGHTS_SHA256 = {
 }
 PERCEPTUAL_TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
 PERCEPTUAL_TAP_CHANNELS = (64, 128, 256, 512, 512)  # number of channels at each of PERCEPTUAL_TAPS
-LPIPS_STORED_SIZES = (512, 512, 128, 64, 256)  # lengths of LPIPS's weight vectors, in the order of their file
-LPIPS_STORED_PLACES = (3, 2, 4, 1, 0)  # for each of PERCEPTUAL_TAPS, the index of its weights in that file
 DISTS_EPSILON = 1e-6  # added to numerator and denominator of both similarities of DISTS
 LEAST_SIDE_PX = 2 ** (len(PERCEPTUAL_TAPS) - 1)  # side of a picture of which one pixel is left at the deepest tap
 
@@ -47,17 +45,14 @@ def lpips(compared: PictureComparison) -> float:
     """
     if min(compared.pictures.shape[-2:]) < LEAST_SIDE_PX:
         return math.nan
-    extractor, distances, weights = (
-        load_features(PERCEPTUAL_TAPS, compared.pictures),
-        [],
-        _read_weight_tensors(LPIPS_FILE, LPIPS_STORED_SIZES),
-    )
-    taps = zip(*map(extractor, compared[:2]), LPIPS_STORED_PLACES, strict=True)
-    for picture_maps, reference_maps, index in taps:
+    extractor, weights = load_features(PERCEPTUAL_TAPS, compared.pictures), _read_weight_vectors(LPIPS_FILE)
+    distances = []
+    for tap, (picture_maps, reference_maps) in enumerate(zip(*map(extractor, compared[:2]), strict=True)):
+        tap_weights = weights[f"lin{tap}.model.1.weight"].to(picture_maps)
         picture_maps, reference_maps = (
             maps / (maps.square().sum(1, keepdim=True) + 1e-8).sqrt() for maps in (picture_maps, reference_maps)
         )
-        distances.append((picture_maps - reference_maps).square().mean((2, 3)) @ weights[index].to(picture_maps))
+        distances.append((picture_maps - reference_maps).square().mean((2, 3)) @ tap_weights)
     return float(torch.stack(distances).sum(0).mean())
 
 
@@ -71,8 +66,9 @@ def dists(compared: PictureComparison) -> float:
     extractor = use_l2_pooling(load_features(PERCEPTUAL_TAPS, compared.pictures))
     picture_maps, reference_maps = ([pixels, *extractor(pixels)] for pixels in compared[:2])
     similarity, total, sizes = torch.zeros(len(compared.pictures)), 0.0, (3, *PERCEPTUAL_TAP_CHANNELS)
-    # the file holds the weights of means, alpha, and then the weights of variations, beta
-    weights_of_terms = (part.split(sizes) for part in _read_weight_tensors(DISTS_FILE, (sum(sizes),) * 2))
+    stored = _read_weight_vectors(DISTS_FILE)
+    # alpha are the weights of means, beta those of variations
+    weights_of_terms = (stored[term].split(sizes) for term in ("alpha", "beta"))
     for a, b, *weights in zip(picture_maps, reference_maps, *weights_of_terms, strict=True):
         alpha, beta = (part.to(a) for part in weights)
         mean_a, mean_b = (maps.mean((2, 3), keepdim=True) for maps in (a, b))
@@ -109,24 +105,20 @@ def use_l2_pooling(features: FeatureExtractor) -> FeatureExtractor:
 
 
 @functools.lru_cache(maxsize=2)
-def _read_weight_tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
-    """Read the vectors of learned weights from a file of torchmetrics, without unpickling anything.
-
-    The file is of torch's first format, which ends with the length and the values of each tensor.
+def _read_weight_vectors(name: str) -> dict[str, Tensor]:
+    """Read the vectors of learned weights from a file of torchmetrics, without running code of the file.
 
     Args:
         name: the file's path below the image functions of torchmetrics, a key of WEIGHTS_SHA256.
-        sizes: numbers of each vector, in the order of the file.
+
+    Returns:
+        The vectors by the names that the authors gave them.
 
     Raises:
         ValueError: torchmetrics is missing, or holds another file.
     """
-    content, tensors = _read_weights_file(name), []
-    offset = len(content) - sum(8 + 4 * size for size in sizes)
-    for size in sizes:
-        tensors.append(torch.from_numpy(np.frombuffer(content, "<f4", size, offset + 8).copy()))
-        offset += 8 + 4 * size
-    return tensors
+    stored = torch.load(io.BytesIO(_read_weights_file(name)), map_location="cpu", weights_only=True)
+    return {key: weights.flatten() for key, weights in stored.items()}
 
 
 def _read_weights_file(name: str) -> bytes:
