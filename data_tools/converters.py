@@ -203,19 +203,17 @@ class StripsConverter(Converter):
     All squares but the normals are linear, and normals have y up, as Deschaintre et al. 2018 publish them. A bad file
     that you name ends the conversion, and nothing is written; one found in a folder is skipped with a warning. Names
     tell the base materials: <number>;<material>X<material>;<preset>X<preset>.png; a strip with another name counts as
-    a material of its own. Where all base materials are blended with all others, the split is by their presets.
+    a material of its own. The 48 strips of `make real-svbrdf` blend three of them: their split is by presets.
 
     Examples:
-      metapp data strips DeepMaterialsData/trainBlended --out svbrdf
+      metapp data strips DeepMaterialsData/trainBlended --split train --out svbrdf
       metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
       metapp data strips strips --predicted maps --split test --out svbrdf
     """
 
     split: Annotated[
         str,
-        split_option(
-            "no base material is in both splits, a fifth or more are for tests; blends across splits are left out."
-        ),
+        split_option("every fifth group of strips that share no base material with others is for tests."),
     ] = "auto"
     size: SizeOption = 256
     gamma: Annotated[

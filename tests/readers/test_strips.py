@@ -1,7 +1,6 @@
 """Strips of five squares: what they hold, which materials they blend, and that no material is on both sides."""
 
 import random
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -157,15 +156,11 @@ def strip_paths(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
     return [Path(f"{index:07d}_{i};{a};{b}.png") for i in range(count) for index, (a, b) in enumerate(kinds)]
 
 
-def components_by_split(paths: list[Path], by: str) -> dict[str, set[str]]:
-    """What the strips of each side are made of."""
-    sides, parted = split_strips(paths)
-    assert parted == by
-    assert set(sides) <= set(paths)
-    field = 0 if by == "material" else 1
+def materials_by_side(paths: list[Path]) -> dict[str, set[str]]:
+    """What the strips of each side are made of; no material is on both sides."""
     found: dict[str, set[str]] = {"train": set(), "test": set()}
-    for path, side in sides.items():
-        found[side] |= blended_materials(path)[field]
+    for path, side in split_strips(paths).items():
+        found[side] |= blended_materials(path)[0]
     assert not found["train"] & found["test"]
     return found
 
@@ -173,44 +168,50 @@ def components_by_split(paths: list[Path], by: str) -> dict[str, set[str]]:
 def test_of_many_components_every_fifth_is_for_tests_whole() -> None:
     paths = strip_paths(*((f"a{i}Xb{i}", "0X0") for i in range(11)), ("a3Xb4", "0X1"), count=2)
     random.Random(0).shuffle(paths)
-    found = components_by_split(paths, "material")
-    assert len(split_strips(paths)[0]) == len(paths)
+    assert len(split_strips(paths)) == len(paths)
     # a3, b3, a4, b4 are one component, the largest and so the first in line
-    assert found["test"] == {"a2", "b2", "a9", "b9"}
+    assert materials_by_side(paths)["test"] == {"a2", "b2", "a9", "b9"}
     assert set(group_strips(paths).values()) == {f"a{i}" for i in range(11)} - {"a4"}
 
 
-def test_few_components_are_split_where_fewest_strips_are_lost() -> None:
-    # A chain; parting a4Xa5 leaves 6 and 3 of 10.
-    paths = strip_paths(*((f"a{i}Xa{i + 1}", "0X0") for i in range(10)))
-    sides, _ = split_strips(paths)
-    found = components_by_split(paths, "material")
-    assert len(sides) == len(paths) - 1
-    assert 2 <= len(found["test"]) - 1 <= 4
-    assert Counter(sides.values())["test"] >= 2
+def test_published_strips_are_split_by_presets() -> None:
+    """Some strips of the published set, by the list that a search over all of them gave."""
+    floor, squares, stones = "PolishedMarbleFloor_01", "metal_bumpy_squares", "brick_uneven_stones"
+    sides = {
+        (f"{floor}X{squares}", "1X1"): "test",
+        (f"{stones}X{squares}", "1X1"): "test",
+        (f"{squares}X{floor}", "1X2"): "test",
+        (f"{floor}X{squares}", "3Xdefault"): "train",
+        (f"{stones}X{floor}", "2X3"): "train",
+        (f"{squares}X{stones}", "1X0"): None,
+        (f"{floor}X{stones}", "1Xdefault"): None,
+    }
+    paths = strip_paths(*sides)
+    assert [split_strips(paths).get(path) for path in paths] == list(sides.values())
+    assert len(set(group_strips(paths).values())) == len(paths)
+    with pytest.warns(UserWarning, match=r"^2 of 7 strips left out: they blend presets .* keeps all\.$"):
+        assert len(strips.entries(paths, [], "auto")) == 5
+    assert len(strips.entries(paths, [], "test")) == 7
 
 
-def test_presets_are_split_where_all_materials_are_blended() -> None:
-    paths = strip_paths(*((f"{a}X{b}", f"{i}X{i}") for a, b in ("ab", "bc", "ac") for i in range(5)), count=2)
-    found = components_by_split(paths, "preset")
-    assert len(split_strips(paths)[0]) == len(paths)
-    assert found["test"] == {"a;0", "b;0", "c;0"}
-    assert len(set(group_strips(paths).values())) == 15  # both strips of a blend are one group
-
-
-def test_strips_that_cannot_be_split_are_training_tasks() -> None:
-    for paths in (strip_paths(("aXb", "0X0"), count=9), [Path("a.png")], strip_paths(("aXb", "0X0"), ("bXa", "0X0"))):
-        assert split_strips(paths)[0] == dict.fromkeys(paths, "train")
+def test_strips_of_few_components_are_for_training() -> None:
+    for paths in (strip_paths(("aXb", "0X0"), count=9), [Path("a.png")], strip_paths(("aXb", "0X0"), ("cXd", "0X0"))):
+        assert split_strips(paths) == dict.fromkeys(paths, "train")
+        with pytest.warns(
+            UserWarning, match=rf"^0 of {len(paths)} strips are for tests: expected 5 .* --split test\.$"
+        ):
+            assert len(strips.entries(paths, [], "auto")) == len(paths)
+    blends = strip_paths(("aXb", "0X0"), ("bXa", "0X1"), count=2)
+    assert len(set(group_strips(blends).values())) == 2  # strips of one blend of presets are one group
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_split_has_a_material_on_both_sides(seed: int) -> None:
     rng = random.Random(seed)
-    kinds = [(f"m{rng.randrange(20):02d}Xm{rng.randrange(20):02d}", f"{rng.randrange(3)}X0") for _ in range(60)]
+    kinds = [(f"m{rng.randrange(20):02d}Xm{rng.randrange(20):02d}", f"{rng.randrange(3)}X0") for _ in range(8)]
     paths = strip_paths(*kinds)
-    split = split_strips(paths)
-    components_by_split(paths, split[1])
-    assert split == split_strips(list(paths))
+    materials_by_side(paths)
+    assert split_strips(paths) == split_strips(paths[::-1])
 
 
 # What is refused
