@@ -138,11 +138,9 @@ def onnx_files(registry: Registry) -> None:
     registry.applications["brdf"].exports["onnx"] = Export(
         f"{here}.brdf_model:write_onnx", needs=("onnxscript", "onnx and onnxscript")
     )
-    for kind in ("onnx", "onnx-page"):
-        registry.file_exports[kind] = FileExport(
-            f"{here}.general_files:write_general",
-            files="General's networks for photos (RUN is a checkpoint or its name)",
-        )
+    registry.file_exports["onnx"] = FileExport(
+        f"{here}.general_files:write_general", files="General's networks for photos (RUN is a checkpoint or its name)"
+    )
 
 
 def plan(registry: Registry) -> None:

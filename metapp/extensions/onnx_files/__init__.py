@@ -1,5 +1,5 @@
 """Fitted BRDFs, and General of flash photographs, as ONNX models.
 
 Read `models`, how a module becomes a model; `brdf_model` and `photographs`, the two modules; then `general_files`, the
-export of a checkpoint, and `onnx_page`, a page that runs a model in a browser.
+export of a checkpoint.
 """

@@ -1,4 +1,4 @@
-"""The export of a checkpoint: General of flash photographs as an ONNX model, or as a page that runs it in a browser.
+"""The export of a checkpoint: General of flash photographs as an ONNX model.
 
 This is the part of `metapp export` that finds the checkpoint, names the files and says what was written.
 """
@@ -9,7 +9,6 @@ from pathlib import Path
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.extensions.onnx_files.models import ONNX_OPSET, require_packages
-from metapp.extensions.onnx_files.onnx_page import MODEL_SIDES_PX, RUNTIME_VERSION, provide_runtime, write_page_folder
 from metapp.extensions.onnx_files.photographs import (
     MODEL_SIDE_STEP_PX,
     VGG_CREDIT,
@@ -19,43 +18,35 @@ from metapp.extensions.onnx_files.photographs import (
 from metapp.runs.checkpoint_selection import find_checkpoint
 from metapp.runs.choice import choose
 from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
-from metapp.runs.reporter import progress, say
+from metapp.runs.reporter import say
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import write_bytes
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME
 
-PHOTO_APP, PAGE_KIND = "svbrdf_nonstationary", "onnx-page"
+PHOTO_APP = "svbrdf_nonstationary"
 
 
 def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
-    """Write General of flash photographs as <folder>/<name>.onnx, or as the page <folder>/index.html.
+    """Write General of flash photographs as <folder>/<name>.onnx.
 
     Args:
         path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe
             svbrdf_nonstationary/pretrained.
-        kind: onnx or onnx-page.
+        kind: onnx, which the signature of exports asks for.
         folder: the folder that files are written into.
         quiet: whether to print no messages.
 
     Returns:
-        The model or the page; the other files of a page lie beside it.
+        The model.
 
     Raises:
-        ValueError: there is no checkpoint of General of one photograph; onnx, onnxscript or onnxruntime-web is missing.
+        ValueError: there is no checkpoint of General of one photograph; onnx or onnxscript is missing.
         BadOption: the file exists already.
     """
     options = _general_options(path)
-    file = folder / (
-        "index.html" if kind == PAGE_KIND else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx"
-    )
+    file = folder / f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx"
     check_new_files([file])
     require_packages()
-    runtime_files = {}
-    if kind == PAGE_KIND:
-        with progress(f"onnxruntime-web {RUNTIME_VERSION}", quiet=quiet) as bar:
-            runtime_files = provide_runtime(
-                lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
-            )
     choice = choose(options)
     app, checkpoint = choice.app, find_checkpoint(choice)
     assert isinstance(app, SvbrdfNonstationary)
@@ -64,15 +55,10 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
-    if reads_features := bool(app.recorded_conditions()):
+    if app.recorded_conditions():
         metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
     model, any_size = encode_photo_model(app, checkpoint.phi.encoder, metadata)
-    if kind == PAGE_KIND:
-        write_page_folder(
-            folder, model, runtime_files, MODEL_SIDES_PX if any_size else (side,), features=reads_features
-        )
-    else:
-        write_bytes(file, model)
+    write_bytes(file, model)
     if not quiet:
         sizes = f"whose sides are multiples of {MODEL_SIDE_STEP_PX}" if any_size else f"of {side} x {side}"
         say(f"{file}: {len(model) / 1e6:.1f} MB of ONNX, opset {ONNX_OPSET}, takes photos {sizes} px")
