@@ -1,5 +1,4 @@
 """Fitted BRDFs as source code of shaders: one file without data beside it, with eval, sample and pdf.
 
-Read `neutral_source`, the code of a BRDF in a neutral language; `languages`, its translation; then `shader_files`, the
-exports.
+Read `hlsl_source`, the code of a BRDF in HLSL; `languages`, its translation; then `shader_files`, the exports.
 """

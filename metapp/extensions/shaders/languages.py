@@ -1,49 +1,34 @@
-"""The translation of neutral source code into shading languages and C++.
+"""The translation of HLSL into other shading languages and C++.
 
-The neutral language, see `neutral_source`, is so simple that a few replacements by regular expressions translate it.
-This module does not know what the code computes.
+The HLSL of a BRDF, see `hlsl_source`, is so simple that a table of substitutions translates it.
+
+Slang's compiler (2026.14) cannot take the table's place. It has no OSL, and writes GLSL and HLSL only as whole programs
+with an entry point, not as functions to include. It renames brdf_gold_eval to brdf_gold_eval_0 and most variables to
+_S1, _S2 and so on, drops all comments, and puts 4,300 lines before 170 of C++.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import NamedTuple
-
-_FUNCTION_HEAD = re.compile(r"^fn (\w+) (\w+)\((.*)\) \{$", re.MULTILINE)
-_DECLARATION = re.compile(r"\b(let|var) (\w+) (\w+) =")
-_FLOAT_LITERAL = re.compile(r"(?<![\w.])(\d+(?:\.\d*)?e[-+]?\d+|\d+\.\d*)")
-_TYPE = re.compile(r"\b(float3|float)\b")
-_COMPONENT = re.compile(r"\.([xyz])\b")
 
 
 class Language(NamedTuple):
-    """The syntax of a language.
+    """How a language differs from HLSL.
 
     Attributes:
         suffix: the suffix of its files.
-        types: its names of `float` and `float3`.
-        function: the head of a function, a template with {type}, {name} and {arguments}.
-        argument: an argument of a function, a template with {type} and {name}.
-        declarations: the declarations by `let` and by `var`, templates with {type} and {name}.
-        float_suffix: the suffix of literals of numbers.
+        substitutions: regular expressions and their replacements, in the order in which they are applied to lines.
         head: the beginning of a file.
         tail: the end of a file, in which NAME is replaced by the name of the material.
-        is_indexed: whether components of vectors are written as [0], [1], [2] in place of .x, .y, .z.
     """
 
     suffix: str
-    types: Mapping[str, str]
-    function: str = "{type} {name}({arguments}) {{"
-    argument: str = "{type} {name}"
-    declarations: Mapping[str, str] = {"let": "{type} {name} =", "var": "{type} {name} ="}
-    float_suffix: str = ""
+    substitutions: tuple[tuple[str, str], ...] = ()
     head: str = ""
     tail: str = ""
-    is_indexed: bool = False
 
 
-_HLSL = {"float": "float", "float3": "float3"}
 _CPP = """\
 #pragma once
 #include <algorithm>
@@ -76,49 +61,45 @@ shader NAME(vector wi = vector(0, 0, 1), vector wo = vector(0, 0, 1), output col
 """
 LANGUAGES = {
     "cpp": Language(
-        "h", _HLSL, function="inline {type} {name}({arguments}) {{", float_suffix="f", head=_CPP, tail="}\n"
+        "h",
+        (
+            (r"^(float3?) ", r"inline \1 "),
+            (r"(?<![\w.])(\d+(?:\.\d*)?e[-+]?\d+|\d+\.\d*)", r"\1f"),
+        ),
+        head=_CPP,
+        tail="}\n",
     ),
-    "glsl": Language("glsl", {"float": "float", "float3": "vec3"}),
-    "hlsl": Language("hlsl", _HLSL),
-    "osl": Language("osl", {"float": "float", "float3": "vector"}, tail=_OSL, is_indexed=True),
+    "glsl": Language("glsl", ((r"\bfloat3\b", "vec3"),)),
+    "hlsl": Language("hlsl"),
+    "osl": Language(
+        "osl",
+        ((r"\bfloat3\b", "vector"), (r"\.x\b", "[0]"), (r"\.y\b", "[1]"), (r"\.z\b", "[2]")),
+        tail=_OSL,
+    ),
     "wgsl": Language(
         "wgsl",
-        {"float": "f32", "float3": "vec3f"},
-        function="fn {name}({arguments}) -> {type} {{",
-        argument="{name}: {type}",
-        declarations={"let": "let {name}: {type} =", "var": "var {name}: {type} ="},
+        (
+            (r"^(float3?) (\w+)\((.*)\) \{$", r"fn \2(\3) -> \1 {"),
+            (r"\b(float3?) (\w+)(?=[,)])", r"\2: \1"),  # an argument
+            (r"\b(float3?) (\w+) =", r"let \2: \1 ="),
+            (r"\bfloat3\b", "vec3f"),
+            (r"\bfloat\b", "f32"),
+        ),
     ),
 }
 
 
 def translate_source(source: str, name: str, language: Language) -> str:
-    """Translate the neutral source of a material into a language.
+    """Translate the HLSL of a material into a language.
 
     Args:
-        source: the neutral source, see :func:`metapp.extensions.shaders.neutral_source.brdf_source`.
+        source: the HLSL, see :func:`metapp.extensions.shaders.hlsl_source.hlsl_source`.
         name: the name of the material, by which the names of its functions begin.
         language: the language, one of LANGUAGES.
 
     Returns:
         The content of a file.
     """
-    types = language.types
-
-    def write_function(match: re.Match[str]) -> str:
-        pairs = (argument.split() for argument in match[3].split(", "))
-        arguments = ", ".join(
-            language.argument.format(type=types[type_name], name=argument) for type_name, argument in pairs
-        )
-        return language.function.format(type=types[match[1]], name=match[2], arguments=arguments)
-
-    def write_declaration(match: re.Match[str]) -> str:
-        return language.declarations[match[1]].format(type=types[match[2]], name=match[3])
-
-    text = _FUNCTION_HEAD.sub(write_function, source)
-    text = _DECLARATION.sub(write_declaration, text)
-    text = _TYPE.sub(lambda match: types[match[1]], text)
-    if language.float_suffix:
-        text = _FLOAT_LITERAL.sub(rf"\1{language.float_suffix}", text)
-    if language.is_indexed:
-        text = _COMPONENT.sub(lambda match: f"[{'xyz'.index(match[1])}]", text)
-    return f"{language.head}{text}{language.tail.replace('NAME', name)}"
+    for pattern, replacement in language.substitutions:
+        source = re.sub(pattern, replacement, source, flags=re.MULTILINE)
+    return f"{language.head}{source}{language.tail.replace('NAME', name)}"

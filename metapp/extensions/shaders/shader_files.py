@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from metapp.appearance.lobes import fit_lobes
 from metapp.apps.brdf.brdf_network import find_network
+from metapp.extensions.shaders.hlsl_source import hlsl_source
 from metapp.extensions.shaders.languages import LANGUAGES, translate_source
-from metapp.extensions.shaders.neutral_source import brdf_source
 from metapp.learning.task import Params
 from metapp.storage.files import write_bytes
 from metapp.storage.xml_files import write_xml
@@ -35,8 +35,8 @@ def function_prefix(name: str) -> str:
     return "_".join(["brdf", *re.findall("[A-Za-z0-9]+", name)])
 
 
-def neutral_code(theta: Params, name: str) -> str:
-    """Write the code of a fitted NBRDF in the neutral language.
+def hlsl_code(theta: Params, name: str) -> str:
+    """Write the code of a fitted NBRDF in HLSL.
 
     Args:
         theta: the parameters of the fit, without a task axis.
@@ -44,7 +44,7 @@ def neutral_code(theta: Params, name: str) -> str:
     """
     network = find_network(theta)
     lobes = fit_lobes(functools.partial(network.evaluate, theta))
-    return brdf_source(function_prefix(name), network.fold(theta), lobes)
+    return hlsl_source(function_prefix(name), network.fold(theta), lobes)
 
 
 def write_shader(language: str, app: Brdf, theta: Params, path: Path) -> None:
@@ -59,7 +59,7 @@ def write_shader(language: str, app: Brdf, theta: Params, path: Path) -> None:
     syntax = LANGUAGES[language]
     name = path.name.removesuffix(f".{syntax.suffix}")
     comment = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
-    text = comment + translate_source(neutral_code(theta, name), function_prefix(name), syntax)
+    text = comment + translate_source(hlsl_code(theta, name), function_prefix(name), syntax)
     _write_text(path.with_name(f"{name}.{syntax.suffix}"), text)
 
 
@@ -79,7 +79,7 @@ def write_materialx(app: Brdf, theta: Params, path: Path) -> None:
         path: the folder, whose name the files get.
     """
     name = function_prefix(path.name)
-    source = neutral_code(theta, path.name)
+    source = hlsl_code(theta, path.name)
     for language, function in NODE_FUNCTIONS.items():
         text = translate_source(source, name, LANGUAGES[language]._replace(tail=function))
         _write_text(path / f"{path.name}.{language}", text)

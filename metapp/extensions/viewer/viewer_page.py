@@ -102,7 +102,7 @@ def viewer_html(data: Document) -> str:
     Raises:
         ValueError: a number in it is not finite.
     """
-    facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
+    facets = (resources.files("metapp.appearance") / "facets.hlsl").read_text(encoding="utf-8").replace("NAME_", "")
     scripts = [
         f"const FACETS = {json.dumps(facets)};",
         *(_read_page_file(f"scripts/{name}.js") for name in PAGE_SCRIPTS),

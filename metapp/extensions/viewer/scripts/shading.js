@@ -8,8 +8,6 @@ const PLACES = 8;             // number of places around a lobe at which a blurr
 const COMMON = `
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler3D;
 const float PI = 3.14159265358979;
-#define fn
-#define let
 #define float3 vec3
 ${FACETS}
 vec3 towards_node(int i) { float angle = float(i) * ${(LAST_NODE / (NODES - 1)).toFixed(7)}; return vec3(sin(angle), 0.0, cos(angle)); }

@@ -1,8 +1,7 @@
-"""A BRDF as source code of a neutral shading language, which `languages` translates into real ones.
+"""A BRDF as HLSL, which `languages` translates into other languages.
 
-The neutral language is HLSL, except that declarations begin with `let` (a name for a value) or `var` (a variable), and
-functions with `fn`. The code has neither arrays nor loops: every language takes sums of products, and compilers map
-them to the hardware. This module knows NBRDF networks and sampling lobes, but no real language.
+The code has neither arrays nor loops, and assigns each variable once: every language takes sums of products, and
+compilers map them to the hardware. This module knows NBRDF networks and sampling lobes, but no other language.
 """
 
 from __future__ import annotations
@@ -19,54 +18,56 @@ from metapp.apps.brdf.brdf_network import PlainLayers
 
 COMMON_SOURCE = """\
 // Reflectance in 1/sr, linear RGB, without the cosine; wi and wo point away from the surface, whose normal is z.
-fn float3 NAME_eval(float3 wi, float3 wo) {
+float3 NAME_eval(float3 wi, float3 wo) {
     if (min(wi.z, wo.z) <= 0.0) {
         return float3(0.0, 0.0, 0.0);
     }
-    let float3 total = wi + wo;
-    let float len = length(total);
-    let float3 h = total / len;
-    let float3 angle = NAME_azimuth(h);
-    let float3 d = NAME_difference(wi, h, len);
-LAYERS
+    float3 total = wi + wo;
+    float len = length(total);
+    float3 h = total / len;
+    float3 angle = NAME_azimuth(h);
+    float3 d = NAME_difference(wi, h, len);
+    LAYERS
 }
 
 // Shares of three densities, the cosine's first, for the angle of wo.
-fn float3 NAME_shares(float cosine) {
-    let float place = min(acos(min(cosine, 1.0)) * SCALE, FINAL);
-    var float3 shares = float3(0.0, 0.0, 0.0);
-SHARES
-    return shares;
+float3 NAME_shares(float cosine) {
+    float place = min(acos(min(cosine, 1.0)) * SCALE, FINAL);
+    return SHARES;
+}
+
+// The GGX roughness of the lobe that a number in [0, 1), at least shares.x, chooses.
+float3 NAME_alpha(float3 shares, float number) {
+    if (number < shares.x + shares.y) {
+        return FIRST;
+    }
+    return SECOND;
 }
 
 // NAME_facets with what goes below the surface mirrored up: it integrates to 1 over the directions above.
-fn float NAME_lobe(float3 wi, float3 wo, float3 alpha) {
+float NAME_lobe(float3 wi, float3 wo, float3 alpha) {
     return NAME_facets(wi, wo, alpha) + NAME_facets(float3(wi.x, wi.y, -wi.z), wo, alpha);
 }
 
 // Density of NAME_sample per solid angle.
-fn float NAME_pdf(float3 wi, float3 wo) {
+float NAME_pdf(float3 wi, float3 wo) {
     if (min(wi.z, wo.z) <= 0.0) {
         return 0.0;
     }
-    let float3 shares = NAME_shares(wo.z);
+    float3 shares = NAME_shares(wo.z);
     return shares.x * wi.z / PI + shares.y * NAME_lobe(wi, wo, FIRST) + shares.z * NAME_lobe(wi, wo, SECOND);
 }
 
 // A direction above the surface, of three numbers in [0, 1).
-fn float3 NAME_sample(float3 wo, float3 u) {
-    let float3 shares = NAME_shares(wo.z);
+float3 NAME_sample(float3 wo, float3 u) {
+    float3 shares = NAME_shares(wo.z);
     if (u.z < shares.x) {
-        let float phi = 2.0 * PI * u.y;
-        let float radius = sqrt(u.x);
+        float phi = 2.0 * PI * u.y;
+        float radius = sqrt(u.x);
         return float3(radius * cos(phi), radius * sin(phi), sqrt(max(0.0, 1.0 - u.x)));
     }
-    var float3 alpha = SECOND;
-    if (u.z < shares.x + shares.y) {
-        alpha = FIRST;
-    }
-    let float3 h = NAME_facet(wo, alpha, u.x, u.y);
-    let float3 wi = h * (2.0 * dot(wo, h)) - wo;
+    float3 h = NAME_facet(wo, NAME_alpha(shares, u.z), u.x, u.y);
+    float3 wi = h * (2.0 * dot(wo, h)) - wo;
     return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
 }
 """
@@ -74,8 +75,8 @@ fn float3 NAME_sample(float3 wo, float3 u) {
 NETWORK_INPUT_EXPRESSIONS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")
 
 
-def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
-    """Write the functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network in the neutral language.
+def hlsl_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
+    """Write the functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network in HLSL.
 
     Args:
         name: the name that the names of functions begin with.
@@ -84,8 +85,8 @@ def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
     """
     replacements = {
         "NAME": name,
-        "LAYERS": "\n".join(f"    {line}" for line in _layer_lines(name, folded.layers)),
-        "SHARES": "\n".join(f"    {line}" for line in _share_lines(lobes)),
+        "LAYERS": "\n    ".join(_layer_lines(name, folded.layers)),
+        "SHARES": "\n        + ".join(_share_terms(lobes)),
         "SCALE": float_literal((VIEWER_NODES - 1) / LAST_VIEWER_RAD),
         "FINAL": float_literal(VIEWER_NODES - 1),
         "FIRST": f"float3({float_literal(lobes.alphas[0][0])}, {float_literal(lobes.alphas[0][1])}, 1.0)",
@@ -93,7 +94,7 @@ def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
         "PI": float_literal(math.pi),
     }
     facets_source = (
-        (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
+        (resources.files("metapp.appearance") / "facets.hlsl").read_text(encoding="utf-8").split("\n\n", 1)[1]
     )
     return re.sub("|".join(replacements), lambda match: replacements[match[0]], f"{facets_source}\n{COMMON_SOURCE}")
 
@@ -116,17 +117,16 @@ def _layer_lines(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str
             total = " + ".join([float_literal(shift), *terms])
             outputs.append(f"{'abc'[i]}{row}")
             if is_last:
-                lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
+                lines.append(f"float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
             else:
-                lines.append(f"let float {outputs[-1]} = max(0.0, {total});")
+                lines.append(f"float {outputs[-1]} = max(0.0, {total});")
         inputs = tuple(outputs)
     return [*lines, f"return float3({', '.join(inputs)});"]
 
 
-def _share_lines(lobes: LobeMixture) -> list[str]:
-    """Write the lines that interpolate the shares of lobes linearly between nodes, by a hat function for each node."""
-    lines = []
-    for node, shares in enumerate(lobes.shares.tolist()):
-        vector = ", ".join(map(float_literal, shares))
-        lines.append(f"shares = shares + float3({vector}) * max(0.0, 1.0 - abs(place - {float_literal(node)}));")
-    return lines
+def _share_terms(lobes: LobeMixture) -> list[str]:
+    """Write the terms whose sum is the shares of lobes, interpolated linearly between nodes by hat functions."""
+    return [
+        f"float3({', '.join(map(float_literal, shares))}) * max(0.0, 1.0 - abs(place - {float_literal(node)}))"
+        for node, shares in enumerate(lobes.shares.tolist())
+    ]
