@@ -12,7 +12,6 @@ import argparse
 import itertools
 import json
 import math
-import re
 import statistics
 import time
 import warnings
@@ -41,6 +40,7 @@ INTEGRATORS_BY_METHOD: dict[str, dict[str, Any]] = {
 WARM_UP_SPP = 48  # samples a pixel of the first pictures, which compile code and tell the first speeds
 TIME_TOLERANCE_SHARE = 0.1  # share of the wanted seconds by which a picture may take more or less
 REFERENCE_STEP_PX = 4  # px from one pixel of a reference to the next
+FILTERS = ("box", "catmullrom", "gaussian", "lanczos", "mitchell", "tent")  # Mitsuba's reconstruction filters
 PATHS_PER_WAVE = 2**21  # paths that are traced at a time
 
 
@@ -162,8 +162,10 @@ def measure_scenes(options: argparse.Namespace, file: Path) -> list[dict[str, An
 
 
 def use_box_filter(scene: SceneEntry) -> SceneEntry:
-    """Return the scene of an XML file with a box filter, by which pixels are means as in references."""
-    return {"xml": re.sub(r'<rfilter [^>]*type="\w+"', '<rfilter type="box"', scene["xml"])}
+    """Return a scene with box filters in place of its filters: pixels are means then, as in references."""
+    if scene["type"] in FILTERS:
+        return {"type": "box"}
+    return {name: use_box_filter(value) if isinstance(value, dict) else value for name, value in scene.items()}
 
 
 def list_kinds(rows: list[dict[str, Any]]) -> list[str]:

@@ -20,7 +20,7 @@ from typing_extensions import override
 
 from data_tools.readers.image_files import check_size
 from data_tools.readers.opened_images import check_memory, last_oiio_error, shorten_oiio_error, silence_libraries
-from metapp.rendering.scenes.rules import SceneFiles, to_snake_case
+from metapp.rendering.scenes.rules import SceneFiles
 from metapp.storage.files import open_regular, open_text, placeholder_line
 
 MAX_TEXT_CHARACTERS = 2**24  # of a scene file, an include, and of a scene file with all of its includes
@@ -88,7 +88,7 @@ class ScenePlaces(SceneFiles):
     @override
     def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         for name, value in parameters.items():
-            if to_snake_case(name) == "filename" and isinstance(value, str):
+            if name == "filename" and isinstance(value, str):
                 check_data_file(kind, Path(value))
 
     def read_included_text(self, name: str) -> tuple[Path, str]:

@@ -18,7 +18,7 @@ from data_tools.readers.listing import files_below
 from data_tools.synthetic.transport_task import BESIDE, HELD_OUT, SAMPLES, UNITS, make_transport_task
 from metapp.extensions.scene_files.scene_places import ScenePlaces, read_scene_text
 from metapp.extensions.scene_files.trial_loading import try_scene
-from metapp.extensions.scene_files.xml import explain_version, locate_reason, resolve_xml
+from metapp.extensions.scene_files.xml import ParsedScene, parse_xml
 from metapp.learning.task import Task
 from metapp.rendering.scenes.rules import MAX_NESTED_LEVELS, SceneChecker, SceneDict, SceneValue
 from metapp.rendering.variant import load_mitsuba
@@ -72,8 +72,7 @@ def read_task(path: Path, samples: int = SAMPLES, held_out: int = HELD_OUT, root
         ValueError: the scene may not be read, cannot be loaded, or has no paths to sample; the message names the file.
     """
     load_mitsuba()  # before the scene is read: an error of Mitsuba itself is no fault of the scene
-    scene = read_scene(path, roots)
-    return _trace_task(path.stem, scene, str(path), samples=samples, held_out=held_out)
+    return _trace_task(path.stem, _parse_file(path, roots), str(path), samples=samples, held_out=held_out)
 
 
 def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:
@@ -90,15 +89,15 @@ def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_
             loaded; it may not be read, cannot be loaded, or has no paths to sample.
     """
     load_mitsuba()
-    return _trace_task(name, resolve_scene_in_memory(source, name, roots), name)
+    return _trace_task(name, _parse_object(source, name, roots), name)
 
 
-def _trace_task(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
+def _trace_task(name: str, parsed: ParsedScene, subject: str, **counts: int) -> Task:
     """Trace the paths of a scene, as a task.
 
     Args:
         name: the name of the task, by which random numbers are drawn.
-        scene: the scene, see :func:`resolve_scene`.
+        parsed: the scene, see :func:`_check_scene`.
         subject: what messages begin with: the file or the name.
         counts: numbers of samples, arguments of `make_transport_task`.
 
@@ -107,14 +106,13 @@ def _trace_task(name: str, scene: SceneDict, subject: str, **counts: int) -> Tas
     """
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big")
     try:
-        try_scene(scene, load_mitsuba().variant())
-        return make_transport_task(name, scene, seed, **counts)
+        try_scene(parsed.scene, load_mitsuba().variant())
+        return make_transport_task(name, parsed.scene, seed, **counts)
     except ValueError as error:
         reason = str(error)
         if "that Mitsuba can load: " in reason and "; " not in reason:
             reason = f"{reason.rstrip('.')}; change it, or leave it out."
-        if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason = explain_version(scene["xml"], locate_reason(scene["xml"], reason))
+        reason = parsed.explain(ValueError(reason))
     # raised outside of `except`: the frames of an error would keep the scene alive, and Dr.Jit traces the materials of
     # all scenes that are alive
     raise ValueError(f"{subject}: {reason}")
@@ -130,10 +128,15 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
     Raises:
         ValueError: the file is no text; a .json file is no JSON or no object; the scene holds what it may not.
     """
+    return _parse_file(path, roots).scene
+
+
+def _parse_file(path: Path, roots: Iterable[Path]) -> ParsedScene:
+    """Read a scene file; see :func:`read_scene`."""
     try:
         text = read_scene_text(path)
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _parse_json(text)
-        return resolve_scene(scene, ScenePlaces.from_scene_file(path, roots), str(path.resolve()))
+        return _check_scene(scene, ScenePlaces.from_scene_file(path, roots), str(path.resolve()))
     except ValueError as error:
         # metapp's own exports of BRDFs have such a scene beside the one that needs metapp's plugin
         reason, builtin = str(error), path.with_name(f"{path.stem}_builtin.xml")
@@ -153,6 +156,11 @@ def resolve_scene_in_memory(source: object, name: str, roots: Iterable[Path] = (
     Raises:
         ValueError: the source is neither; it holds something that JSON cannot, or that a scene may not hold.
     """
+    return _parse_object(source, name, roots).scene
+
+
+def _parse_object(source: object, name: str, roots: Iterable[Path]) -> ParsedScene:
+    """Check a scene in memory; see :func:`resolve_scene_in_memory`."""
     try:
         if isinstance(source, str):
             scene: SceneDict = {"xml": source}
@@ -161,16 +169,25 @@ def resolve_scene_in_memory(source: object, name: str, roots: Iterable[Path] = (
         else:
             expected = "a path, a scene as Mitsuba's load_dict takes it, or XML text"
             raise ValueError(f"{type(source).__name__}, expected {expected}.")
-        return resolve_scene(scene, ScenePlaces.from_scene_file(Path.cwd() / name, roots))
+        return _check_scene(scene, ScenePlaces.from_scene_file(Path.cwd() / name, roots))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
-def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> SceneDict:
-    """Check a scene, and return it with absolute file names, and with its includes and defaults put in.
+def check_stored_scene(scene: SceneDict) -> SceneDict:
+    """Check a scene of a data set, and return its dictionary; files that it names must have been read in this process.
+
+    Raises:
+        ValueError: the scene holds something that it may not.
+    """
+    return _check_scene(scene, ScenePlaces()).scene
+
+
+def _check_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> ParsedScene:
+    """Check a scene, and return it as a dictionary with absolute file names.
 
     Args:
-        scene: a dictionary of plugins, or {"xml": text}; the result has the form of the argument.
+        scene: a dictionary of plugins, or {"xml": text}.
         places: where its data files may lie.
         name: the resolved path of the scene's file, if it has one.
 
@@ -179,20 +196,16 @@ def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> Scen
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
-    if "xml" in scene:
-        if not isinstance(scene["xml"], str):
-            raise ValueError("an 'xml' that is no text, expected a document; change it.")
-        return {"xml": resolve_xml(scene["xml"], places, name)}
-    return SceneChecker(places).check_object(scene)
-
-
-def check_stored_scene(scene: SceneDict) -> SceneDict:
-    """Check a scene of a data set, and return it; files that it names must have been read in this process before.
-
-    Raises:
-        ValueError: the scene holds something that it may not.
-    """
-    return resolve_scene(scene, ScenePlaces())
+    if "xml" not in scene:
+        parsed = ParsedScene(scene)
+    elif isinstance(scene["xml"], str):
+        parsed = parse_xml(scene["xml"], places, name)
+    else:
+        raise ValueError("an 'xml' that is no text, expected a document; change it.")
+    try:
+        return parsed._replace(scene=SceneChecker(places).check_object(parsed.scene))
+    except ValueError as error:
+        raise ValueError(parsed.explain(error)) from None
 
 
 def _parse_json(text: str) -> SceneDict:

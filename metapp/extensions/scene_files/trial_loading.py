@@ -29,7 +29,7 @@ def try_scene(scene: dict[str, SceneValue], variant: str) -> None:
     """Refuse a scene that Mitsuba cannot load, that ends the process, or whose loading does not end.
 
     Args:
-        scene: the scene, see :func:`metapp.extensions.scene_files.scene_reader.resolve_scene`.
+        scene: the scene, see :func:`metapp.extensions.scene_files.scene_reader.read_scene`.
         variant: the variant of Mitsuba that loads it.
 
     Raises:

@@ -1,7 +1,7 @@
 """Mitsuba scenes that paths can be traced in: checked, loaded, and refused if they cannot be.
 
-A scene is an argument of Mitsuba's `load_dict` as JSON, with matrices as nested lists; or the text of an
-XML document, {"xml": text}.
+A scene is an argument of Mitsuba's `load_dict` as JSON, with matrices as nested lists. Scenes of data sets may be the
+text of an XML document, too, {"xml": text}, which the extension scene_files makes a dictionary of.
 
 Mitsuba gets checked scenes alone, and no folder of a scene: it would run a library that lies there and that the
 scene names as a plugin. All file names are absolute, and the files lie in folders that the user named.

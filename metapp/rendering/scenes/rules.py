@@ -74,9 +74,9 @@ def mitsuba_metals() -> frozenset[str]:
     return frozenset(path.name.removesuffix(".eta.spd") for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd"))
 
 
-def to_snake_case(name: str) -> str:
-    """Change a parameter's name as Mitsuba does in scenes of version 1 and older: sampleCount to sample_count."""
-    return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()
+def is_file_name(name: str) -> bool:
+    """Return whether a parameter of a name is the name of a file; scenes of version 0.6 have `normalFilename`, too."""
+    return name.lower().endswith("filename")
 
 
 def check_plugin(kind: str) -> None:
@@ -107,28 +107,22 @@ def check_parameters(kind: str, given: Mapping[str, object]) -> None:
 
     Args:
         kind: name of the plugin.
-        given: its parameters and nested objects, by name; numbers may be text.
+        given: its parameters and nested objects, by name.
 
     Raises:
-        ValueError: a count, size or temperature that is out of range; a name that is missing or occurs twice.
+        ValueError: a count, size or temperature that is out of range; a parameter or an object that is missing.
     """
-    if len({to_snake_case(name) for name in given}) < len(given):  # Mitsuba would take either
-        raise ValueError(f"a '{kind}' with a parameter under two names, {sorted(given)!s:.100}; leave one out.")
-    given = {to_snake_case(name): value for name, value in given.items()}
     required = _REQUIRED_PARAMETERS.get(kind)
     if required and required not in given:
         raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
     for name, (low, high) in _NUMBER_RANGES.items():
-        number = parse_number(given.get(name))
-        if number is not None and not low <= number <= high:
+        number = given.get(name)
+        if isinstance(number, int | float) and not low <= number <= high:
             raise ValueError(f"a '{name}' of {number:.12g}, expected {low:,} to {high:,}; change it.")
-    if kind in _REQUIRED_CHILDREN and not any(
-        isinstance(value, Mapping) or value is NESTED_OBJECT for value in given.values()
-    ):
+    if kind in _REQUIRED_CHILDREN and not any(isinstance(value, Mapping) for value in given.values()):
         raise ValueError(f"a '{kind}' without {_REQUIRED_CHILDREN[kind]}, expected one or more; leave it out.")
 
 
-NESTED_OBJECT = object()  # stands for a nested object where only numbers and texts are known
 _REQUIRED_CHILDREN = {"merge": "shapes", "shapegroup": "shapes", "volume": "a volume"}
 _NUMBER_RANGES = {
     "sample_count": (1, _MAX_SAMPLE_COUNT),
@@ -137,14 +131,6 @@ _NUMBER_RANGES = {
     "temperature": (1, 10**6),  # K
     "shape_index": (0, 2**31 - 1),
 }
-
-
-def parse_number(value: object) -> float | None:
-    """Return a value as a number if it is a number or the text of one; None for all else."""
-    try:
-        return float(value) if isinstance(value, str | int | float) else None
-    except (ValueError, OverflowError):
-        return None
 
 
 class SceneFiles:
@@ -190,7 +176,7 @@ def check_string(name: str, value: str, files: SceneFiles) -> str:
     Raises:
         ValueError: a file that may not be read, a path where none is expected, or an unknown material.
     """
-    if to_snake_case(name).endswith("filename"):
+    if is_file_name(name):
         return str(files.resolve_file(value))
     plain = value.isascii() and value.isprintable()
     if len(value) > MAX_VALUE_CHARACTERS or not plain or set("/\\$") & set(value) or ".." in value:
@@ -214,16 +200,17 @@ class SceneChecker:
     def __init__(self, files: SceneFiles, most_values: int = MAX_SCENE_VALUES) -> None:
         self.files, self.value_count, self.most_values = files, 0, most_values
 
-    def check_object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
+    def check_object(self, scene: SceneDict, path: tuple[str, ...] = ()) -> SceneDict:
         """Check an object of a scene, and return it with file names absolute.
 
         Args:
-            scene: the object; at depth 0 the whole scene.
-            depth: number of objects that it lies in.
+            scene: the object, or the whole scene.
+            path: keys by which the object is found in the scene.
 
         Raises:
             ValueError: something that a scene may not hold.
         """
+        depth = len(path)
         kind = scene.get("type")
         if not isinstance(kind, str):
             raise ValueError(
@@ -239,10 +226,15 @@ class SceneChecker:
         elif (kind == "scene") != (depth == 0):
             raise ValueError("a scene within a scene, or none at all, expected one around all else.")
         elif depth:
-            check_plugin(kind)
+            try:
+                check_plugin(kind)
+            except UnsupportedPluginError as error:  # as Mitsuba says where
+                raise UnsupportedPluginError(f'dictionary node "{".".join(path)[:100]}": {error}') from None
         media = {} if depth else _declared_media(scene)
         scene = scene if depth else self._take_folders(scene)
-        checked = {key: self._check_value(key, value, depth, kind) for key, value in scene.items() if key not in media}
+        checked = {
+            key: self._check_value(value, (*path, key), kind) for key, value in scene.items() if key not in media
+        }
         if depth:
             check_parameters(kind, checked)
             self.files.check(kind, checked)
@@ -269,13 +261,14 @@ class SceneChecker:
             self.files = self.files.search_first(path)
         return remaining
 
-    def _check_value(self, key: str, value: SceneValue, depth: int, kind: str) -> SceneValue:
-        """Check a value of an object, and return it with file names absolute."""
+    def _check_value(self, value: SceneValue, path: tuple[str, ...], kind: str) -> SceneValue:
+        """Check a value of an object of a kind, and return it with file names absolute."""
+        key = path[-1]
         self.value_count += 1
         if self.value_count > self.most_values:
             raise ValueError(f"more than {self.most_values:,} values, expected fewer; put meshes in files.")
         if isinstance(value, dict):
-            return self.check_object(value, depth + 1)
+            return self.check_object(value, path)
         if isinstance(value, str):
             if key in ("type", "id"):
                 return _check_identifier(value)
@@ -295,7 +288,7 @@ class SceneChecker:
         fits = _is_number(value) or (isinstance(value, list) and _is_number_list(value, kind))
         if found not in expected or not fits:
             names = " or ".join(next(iter(keys)) for keys in expected)
-            raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of numbers or text.")
+            raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of finite numbers or text.")
 
 
 def _declared_media(scene: SceneDict) -> dict[str, SceneDict]:
@@ -353,14 +346,12 @@ def instantiate_scene(mi: Mitsuba, scene: dict[str, SceneValue]) -> Scene:
 
     Args:
         mi: Mitsuba, in its variant.
-        scene: the scene's dictionary, or the text of an XML document, {"xml": text}.
+        scene: the scene's dictionary.
     """
     text = json.dumps(scene)
     for name in extension_bsdfs():
         if name in text:
             registry().plugins[name].load()()
-    if "xml" in scene:
-        return mi.load_string(scene["xml"], parallel=False)
     return mi.load_dict(_to_mitsuba_matrices(mi, scene), parallel=False)
 
 
@@ -370,7 +361,7 @@ def _to_mitsuba_matrices(mi: Mitsuba, value: SceneValue) -> SceneValue:
         plain = value.get("type") in ("rgb", "spectrum")
         return {key: child if plain else _to_mitsuba_matrices(mi, child) for key, child in value.items()}
     if isinstance(value, list) and isinstance(value[0], list):
-        return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
+        return mi.ScalarTransform4d(value) if len(value) == 4 else mi.ScalarTransform3f(value)
     return value
 
 
