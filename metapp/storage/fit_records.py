@@ -1,14 +1,12 @@
 """The record of a fit: its figures, and the settings that they depend on, as `record.json` holds them.
 
-A record may have been written by anybody, or by an earlier version of metapp: :func:`decode_record` accepts both, and
-refuses everything else in one line.
+A record may have been written by anybody: :func:`decode_record` refuses what is none in one line.
 """
 
 from __future__ import annotations
 
 import json
 import statistics
-import unicodedata
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -16,9 +14,6 @@ import msgspec
 
 from metapp.storage import Document
 from metapp.storage.files import to_json_value
-
-# Entries of earlier records that were figures of an application, beside others that were errors
-EARLIER_FIGURES = ("mean_tilt_degrees", "copied", "repeated", "numbers", "kept_bytes", "shared")
 
 
 class Origin(msgspec.Struct, frozen=True):
@@ -100,8 +95,7 @@ class FitRecord(msgspec.Struct, kw_only=True):
     Attributes:
         name: the name of the task.
         error: the error in the unit of tables; None if the task holds no reference.
-        scale: the factor by which `error` was multiplied; `errors` have their own units. Records of earlier versions do
-            not state it.
+        scale: the factor by which `error` was multiplied; `errors` have their own units.
         photo_error: the mean difference between the fit and its photographs in percent of display values; None if the
             error says more, or the fit saw no photograph.
         errors: further errors by name.
@@ -171,8 +165,6 @@ def encode_record(record: FitRecord) -> bytes:
 def decode_record(stored: bytes | str, *, figures: Collection[str] = (), timed: bool = False) -> FitRecord:
     """Read a record from JSON, which anybody may have written.
 
-    Invisible format characters in its name, which could turn the direction of the text beside it, become underscores.
-
     Args:
         stored: the JSON document.
         figures: the names of figures that the record must have.
@@ -181,11 +173,13 @@ def decode_record(stored: bytes | str, *, figures: Collection[str] = (), timed: 
     Raises:
         ValueError: it is no record, or lacks one of these; the message says what is wrong.
 
-    >>> decode_record('{"name": "gold", "error": 1.5, "map": 0.25, "settings": {"app": "brdf"}}').errors
-    {'map': 0.25}
+    >>> decode_record('{"name": "gold", "error": 1.5, "settings": {"precision": "half"}}').settings.further
+    {'precision': 'half'}
     """
     try:
-        document = _in_present_form(msgspec.json.decode(stored))
+        document = msgspec.json.decode(stored)
+        if isinstance(document, dict) and isinstance(document.get("settings"), dict):
+            document["settings"] = _set_further_apart(document["settings"])
         record = msgspec.convert(document, FitRecord)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise ValueError(f"no record: {error}") from None
@@ -193,32 +187,8 @@ def decode_record(stored: bytes | str, *, figures: Collection[str] = (), timed: 
         raise ValueError(f"no record: without {', '.join(missing)}")
     if timed and record.seconds is None:
         raise ValueError("no record: without seconds")
-    record.name = "".join("_" if unicodedata.category(c) == "Cf" else c for c in record.name)
     record.source = record.source or record.name
     return record
-
-
-def _in_present_form(document: Any) -> Any:
-    """Return a JSON document with further settings in an entry of their own, and likewise errors and figures.
-
-    Records of earlier versions have all of these beside the other entries, and do not state `scale`.
-    """
-    if not isinstance(document, dict):
-        return document
-    document = {name: value for name, value in document.items() if name != "folder"}
-    settings = document.get("settings", {})
-    if isinstance(settings, dict):
-        document["settings"] = _set_further_apart(settings)
-    if "scale" not in document:
-        others = {name: document.pop(name) for name in [*document] if name not in FitRecord.__struct_fields__}
-        figures = {
-            name: value
-            for name, value in others.items()
-            if name in EARLIER_FIGURES or isinstance(value, bool) or not isinstance(value, int | float | None)
-        }
-        errors = {name: value for name, value in others.items() if name not in figures}
-        document = {"figures": figures, "errors": errors, **document}
-    return document
 
 
 def summary(records: Sequence[FitRecord]) -> dict[str, float | None]:

@@ -1,6 +1,5 @@
 """`--batch` and `--resume`: many inputs, side by side, whatever is broken among them."""
 
-import json
 import re
 import shutil
 from collections.abc import Callable, Sequence
@@ -8,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from msgspec.structs import replace as replace_fields
 from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
@@ -18,7 +16,7 @@ from metapp.runs import execution, fitter
 from metapp.runs.fit import Fit
 from metapp.runs.fitter import Fitter
 from metapp.runs.inputs.run_inputs import Input
-from metapp.storage.fit_store import RECORD, name_with_digest, read_fit_records
+from metapp.storage.fit_store import name_with_digest, read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -96,23 +94,6 @@ def test_fitted_inputs_are_not_fitted_again(fit: Callable, fitted_batches: list[
     assert fitted_batches == [["m1", "new"]]
     fit("--resume", "--seed", "3")
     assert fitted_batches[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
-
-
-def test_fits_of_earlier_versions_are_not_fitted_again(fit: Callable, fitted_batches: list[list[str]]) -> None:
-    """In their records, errors and figures stand beside the other entries."""
-    folder = Path(fit().json_document["out"])
-    before = read_fit_records(folder)
-    assert all(record.figures["albedo"] for record in before)
-    for record in before:
-        document = record.document()
-        del document["scale"]
-        for part in ("errors", "figures"):
-            document |= document.pop(part, {})
-        Path(record.folder, RECORD).write_text(json.dumps(document))
-    assert [replace_fields(record, scale=100.0) for record in read_fit_records(folder)] == before
-    del fitted_batches[:]
-    assert "5 of 5 inputs are skipped, since they have a fit by equal settings" in fit("--resume").err
-    assert fitted_batches == []
 
 
 def test_a_broken_file_stops_no_other(fit: Callable, fitted_batches: list[list[str]], materials: Path) -> None:

@@ -14,11 +14,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgspec.structs import replace
 from safetensors.torch import load_file
 
 from metapp.storage.files import file_name, printable_name, read_text, remove_partial, to_json_value, write_atomically
-from metapp.storage.fit_records import FitRecord, Origin, Settings
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.fit_store import (
     PARAMS,
     RECORD,
@@ -252,14 +251,6 @@ def test_a_name_of_any_kind_has_a_folder(tmp_path: Path, name: str) -> None:
     assert names(tmp_path) == [to_json_value(name)]
 
 
-def test_names_in_records_cannot_reverse_text(tmp_path: Path) -> None:
-    given = ["a\u202egnp.b", "z\u200bw", "\u0639\u0631\u0628\u064a", "e\u0301tude"]
-    for i, name in enumerate(given):
-        (tmp_path / f"{i}").mkdir()
-        (tmp_path / f"{i}" / RECORD).write_text(json.dumps({"name": name, "error": None}))
-    assert names(tmp_path) == ["a_gnp.b", "z_w", *given[2:]]
-
-
 def test_one_warning_names_the_first_record_that_is_none(tmp_path: Path) -> None:
     for name in ("gold", "tin", "zinc"):
         write_fit(tmp_path, record(name), THETA)
@@ -289,68 +280,22 @@ def stored_record(run: Path, entries: dict[str, Any]) -> FitRecord:
     return found
 
 
-EARLIER = {  # each entry beside the others, as earlier versions wrote them
-    "name": "gold",
-    "source": "/in/gold.csv",
-    "error": 1.5,
-    "seconds": 0.25,
-    "cpu_seconds": 0.5,
-    "threads": 1,
-    "map": 0.2,
-    "albedo": [0.5, 0.75],
-    "mean_tilt_degrees": 3.0,
-    "guarded": False,
-    "content": "1a2b",
-    "origin": {"inputs": ["/in/gold.csv"], "data": ""},
-    "settings": {"app": "brdf", "steps": 10, "adam": None, "precision": "VGG in bfloat16"},
-}
-
-
-def test_records_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    """Their errors, figures and further settings stand beside the other entries; so do settings in new records."""
-    found = stored_record(tmp_path / "earlier", EARLIER)
-    expected = FitRecord(
-        name="gold",
-        error=1.5,
-        errors={"map": 0.2},
-        seconds=0.25,
-        cpu_seconds=0.5,
-        threads=1,
-        guarded=False,
-        figures={"albedo": [0.5, 0.75], "mean_tilt_degrees": 3.0},
-        source="/in/gold.csv",
-        content="1a2b",
-        origin=Origin(["/in/gold.csv"]),
-        settings=Settings(app="brdf", steps=10, further={"precision": "VGG in bfloat16"}),
-        folder=str(tmp_path / "earlier" / "gold"),
-    )
-    assert found == expected
-    settings = Settings.of(EARLIER["settings"])
-    assert (
-        FitStore(tmp_path / "earlier", settings, ["albedo"], timed=True).find("gold", "/in/gold.csv", "1a2b") == found
-    )
-    kept = write_fit(tmp_path / "new", found)
-    written = json.loads((tmp_path / "new" / "gold" / RECORD).read_text())
-    assert ("scale" in written, written["errors"]) == (False, {"map": 0.2})
-    assert written["figures"] == {"albedo": [0.5, 0.75], "mean_tilt_degrees": 3.0}
+def test_records_have_further_settings_beside_the_others(tmp_path: Path) -> None:
+    settings = Settings(app="brdf", steps=10, further={"precision": "VGG in bfloat16"})
+    kept = write_fit(tmp_path, record("gold", settings=settings))
+    written = json.loads((tmp_path / "gold" / RECORD).read_text())
     assert written["settings"] == {"app": "brdf", "steps": 10, "precision": "VGG in bfloat16"}
-    assert not {"map", "albedo", "folder"} & written.keys()
-    assert read_fit_records(tmp_path / "new") == [kept] == [replace(found, folder=kept.folder)]
+    assert read_fit_records(tmp_path) == [kept]
+    assert kept.settings == settings
 
 
-@pytest.mark.parametrize("entries", [EARLIER, {"name": "gold", "error": None, "scale": 1.0}])
-def test_records_without_wanted_figures_or_seconds_are_none(tmp_path: Path, entries: dict[str, Any]) -> None:
-    found = stored_record(tmp_path, entries)
-    assert found.name == "gold"
-    with pytest.warns(UserWarning, match=r"expected one of a task \(without curves\); passed over"):
-        assert read_fit_records(tmp_path, figures=["curves"]) == []
+def test_records_without_wanted_figures_or_seconds_are_none(tmp_path: Path) -> None:
+    found = stored_record(tmp_path, {"name": "gold", "error": None})
+    assert FitStore(tmp_path, found.settings).records() == {"gold": found}
     with pytest.warns(UserWarning, match=r"expected one of a task \(without curves\); passed over"):
         assert FitStore(tmp_path, found.settings, ["curves"]).records() == {}
-    if found.seconds is None:
-        with pytest.warns(UserWarning, match=r"expected one of a task \(without seconds\); passed over"):
-            assert read_fit_records(tmp_path, timed=True) == []
-    else:
-        assert read_fit_records(tmp_path, timed=True) == [found]
+    with pytest.warns(UserWarning, match=r"expected one of a task \(without seconds\); passed over"):
+        assert read_fit_records(tmp_path, timed=True) == []
 
 
 def at_once(writer: Callable[[Path, int], None], run: Path, count: int = 10) -> None:
