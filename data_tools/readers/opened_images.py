@@ -65,10 +65,7 @@ def open_image(path: Path) -> oiio.ImageInput:
         raise ValueError(_develop_advice(path))
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)
-    try:
-        source = oiio.ImageInput.open(str(path), settings)
-    except (UnicodeError, TypeError):  # which of the two is raised depends on OpenImageIO's version
-        raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
+    source = oiio.ImageInput.open(str(path), settings)
     if source is None:
         # read even where it is not shown: OpenImageIO prints an error that nobody read when Python ends
         reason = shorten_oiio_error(last_oiio_error(oiio), path)

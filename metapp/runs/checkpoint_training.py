@@ -133,8 +133,7 @@ def _read_interrupted_state(path: Path, settings: Document, choice: Choice) -> T
         settings: all that the training depends on.
         choice: the choice of what is trained.
     """
-    for file in (path, _previous_path(path)):
-        remove_partial(file)
+    remove_partial(path.parent)
     state = None
     try:
         if fields := load_training_state(_training_path(path), settings, choice.device):

@@ -22,7 +22,7 @@ from torch import Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import content_digest, open_tensors, remove_partial, write_bytes
+from metapp.storage.files import content_digest, open_tensors, write_bytes
 
 CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3  # versions of the layouts of checkpoints and of training states
 FLOAT_TYPES = (torch.half, torch.float32, torch.float64)  # types that tensors of a checkpoint may have
@@ -176,7 +176,6 @@ def load_training_state(path: Path, settings: Document, device: torch.device | s
     Raises:
         ValueError: the file is damaged or has other settings, and was put aside.
     """
-    remove_partial(path)
     if not path.is_file():
         return None
     aside_path, settings = path.with_suffix(".aside.safetensors"), json.loads(json.dumps(settings))

@@ -1,8 +1,7 @@
 """Single files: only regular files are read, and a file that is written is there whole or not at all.
 
 A new file gets a temporary name in its folder and is then renamed: a link of its name is replaced, never followed.
-Names of files may have bytes that are not UTF-8, which Python passes on as lone surrogates. What files mean is not
-known here.
+What files mean is not known here.
 """
 
 from __future__ import annotations
@@ -12,41 +11,43 @@ import contextlib
 import errno
 import filecmp
 import functools
-import glob
 import hashlib
 import io
 import json
 import math
 import os
 import re
+import secrets
 import shutil
 import stat
 import tempfile
-import unicodedata
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from safetensors import safe_open
 
-from metapp.storage.placeholders import START_BYTES, placeholder_of
-
 if TYPE_CHECKING:
     from torch import Tensor
 
 PARTIAL_PREFIX = ".partial-"  # the beginning of the name of an unfinished file
+_STALE_SECONDS = 3600.0  # after which an unfinished file that nobody has written to was left by a killed program
 MAX_NAME_BYTES = 100  # of a task's name; file systems take 255, of which suffixes and temporary names need some
-# A number of this program: programs on two machines of a cluster may have equal process ids
-_PROGRAM = os.urandom(3).hex()
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 _UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
-_BYTE_ORDER_MARKS = (  # UTF-32 comes before UTF-16: one of its marks begins with a mark of UTF-16
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_WINDOWS_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)  # a name that Windows reserves
+# Files that a checkout or a download leaves in place of the file itself: beginnings in small letters, and the message
+_PLACEHOLDERS = (
+    ((b"version https://git-lfs",), "a Git LFS pointer, expected the file itself; fetch it by git lfs pull."),
+    (
+        (b"<!doctype html", b"<html"),
+        "an HTML page, expected the file itself; download it again, by the link of the file.",
+    ),
 )
 _TYPE_NAMES = {int: "a whole number", str: "text", list: "a list", dict: "an object"}  # types of JSON entries, in words
+_PLACEHOLDER_BYTES = 256  # of a file, in which its beginning is looked for after blanks
 
 
 def open_regular(path: str | Path) -> io.BufferedReader:
@@ -74,19 +75,17 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def open_text(path: str | Path) -> io.TextIOWrapper:
-    """Open a text file of a user, in UTF-8 or in the encoding that its byte order mark names.
+    """Open a text file of a user, in UTF-8, or in UTF-16 if it begins with its byte order mark.
 
     The mark is no part of the text. Line ends of Unix, Windows and Mac are read as line ends of Unix.
 
     Raises:
-        ValueError: the path is a pipe or a device, or the file only stands for another one, see :func:`check_readable`.
+        ValueError: libraries must not read the path, see :func:`check_readable`.
         OSError: the file cannot be read, or is a folder.
     """
     check_readable(Path(path))
     stream = open_regular(path)
-    start = stream.peek(4)
-    encoding = next((name for mark, name in _BYTE_ORDER_MARKS if start.startswith(mark)), "utf-8-sig")
-    return io.TextIOWrapper(stream, encoding)
+    return io.TextIOWrapper(stream, "utf-16" if stream.peek(2)[:2] in _UTF16_MARKS else "utf-8-sig")
 
 
 def read_text(path: str | Path) -> str:
@@ -109,15 +108,12 @@ def open_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the path is no file, or the file only stands for another one.
+        ValueError: libraries must not read the path, see :func:`check_readable`.
         SafetensorError: the file is damaged.
     """
     check_readable(Path(path))
-    with open_regular(path) as file:
-        # safe_open takes no path with bytes that are not UTF-8
-        place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"
-        with safe_open(place, "pt", device=device) as stored:
-            yield stored
+    with open_regular(path), safe_open(path, "pt", device=device) as stored:
+        yield stored
 
 
 def read_tensors(path: str | Path) -> dict[str, Tensor]:
@@ -127,12 +123,16 @@ def read_tensors(path: str | Path) -> dict[str, Tensor]:
 
 
 def check_readable(path: Path) -> None:
-    """Refuse a path that libraries must not read: a pipe, a device, or a file that only stands for another one.
+    """Refuse a path that libraries must not read.
 
     Raises:
-        ValueError: the path exists and is neither a file nor a folder (libraries would read it without end), or it is a
-            placeholder, such as a Git LFS pointer.
+        ValueError: the path is not UTF-8, which libraries do not open; it exists and is neither a file nor a folder,
+            which libraries would read without end; or it is a placeholder, see :func:`placeholder_line`.
     """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ValueError(_UNENDING.format(path))
     if line := placeholder_line(path):
@@ -140,17 +140,17 @@ def check_readable(path: Path) -> None:
 
 
 def placeholder_line(path: Path) -> str:
-    """Return the error message about a file that only stands for another one.
+    """Return the error message about a placeholder: a file that was left in place of the file that a user wants.
 
     Returns:
-        The message, see :func:`metapp.storage.placeholders.placeholder_of`; "" for any other path.
+        The message if the file is a Git LFS pointer or a page in HTML; "" for any other path.
     """
     try:
         with open_regular(path) as file:
-            description = placeholder_of(file.read(START_BYTES))
+            start = file.read(_PLACEHOLDER_BYTES).lstrip().lower()
     except (OSError, ValueError):  # whoever reads the file will say that it cannot be read
         return ""
-    return f"{path}: {description}" if description else ""
+    return next((f"{path}: {line}" for beginnings, line in _PLACEHOLDERS if start.startswith(beginnings)), "")
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:
@@ -269,28 +269,20 @@ def make_writable_folder(folder: Path) -> None:
 
 
 def partial_path(path: Path) -> Path:
-    """Return the temporary path of a file that is being written: in the same folder, with an equal suffix."""
-    # the suffix stays, since image writers choose the format by it; process and program keep two writers apart
-    return path.with_name(f"{PARTIAL_PREFIX}{os.getpid()}-{_PROGRAM}-{path.name}")
+    """Return a temporary path for a file that is being written: in the same folder, with an equal suffix.
+
+    Each call returns another path, so that two programs may write one file at the same time.
+    """
+    # the suffix stays, since image writers choose the format by it
+    return path.with_name(f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name}")
 
 
-def remove_partial(path: Path) -> None:
-    """Remove unfinished files and folders of a path that killed programs left; files of running programs stay."""
-    for unfinished in path.parent.glob(f"{PARTIAL_PREFIX}*-{glob.escape(path.name)}"):
-        process = unfinished.name.removeprefix(PARTIAL_PREFIX).split("-")[0]
-        if process.isdigit() and int(process) != os.getpid() and not _is_running(int(process)):
-            shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink(missing_ok=True)
-
-
-def _is_running(process: int) -> bool:
-    """Test whether a process of this id runs on this machine; True where this cannot be asked."""
-    if os.name == "nt":  # on Windows, signal 0 would end the process
-        return True
-    try:
-        os.kill(process, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # a process of another user may not be signalled, but runs
-    return True
+def remove_partial(folder: Path) -> None:
+    """Remove the unfinished files and folders in a folder that killed programs left more than an hour ago."""
+    for unfinished in folder.glob(f"{PARTIAL_PREFIX}*"):
+        with contextlib.suppress(FileNotFoundError):  # another program has finished or removed it since
+            if time.time() - unfinished.stat().st_mtime > _STALE_SECONDS:
+                shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
 
 
 def error_about_file(error: Exception, source: Path) -> ValueError:
@@ -339,9 +331,10 @@ def get_json_entry(document: object, key: str, kind: type, where: str, remedy: s
 
 
 def to_json_value(value: Any) -> Any:
-    r"""Convert a value to one that a JSON file can hold.
+    """Convert a value to one that a JSON file can hold.
 
-    Lone surrogates in texts are escaped, such as \udcff, tuples become lists, and numbers that are not finite None.
+    Tuples become lists, and numbers that are not finite None. Bytes of a path that are no text, which Python passes on
+    as lone surrogates, are escaped, since readers of JSON refuse these.
 
     >>> to_json_value({"error": float("nan"), "seconds": (0.5, 1.0)})
     {'error': None, 'seconds': [0.5, 1.0]}
@@ -355,40 +348,29 @@ def to_json_value(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def path_from_json_text(text: str) -> Path:
-    """Return the path of a text in a JSON file, whose escaped bytes are put back if there is such a path.
-
-    The text was written by :func:`to_json_value`. If the path with bytes put back does not exist, the text is taken as
-    it is.
-    """
-    path = Path(re.sub(r"\\udc([89a-f][0-9a-f])", lambda escaped: chr(0xDC00 + int(escaped[1], 16)), text))
-    return path if os.path.lexists(path) else Path(text)
-
-
 def printable_name(name: str) -> str:
     """Return a name that can be printed and drawn, of MAX_NAME_BYTES bytes at most.
 
-    Control characters, line ends and bytes that are no text (lone surrogates) become underscores. A name that is
-    changed or cut ends with a digest of the whole name.
+    Characters that are not printable, such as line ends, become underscores. A name that is changed or cut ends with a
+    digest of the whole name.
 
     >>> printable_name("old gold"), printable_name("old" + chr(10) + "gold")
     ('old gold', 'old_gold-1c7b39')
     """
-    return _add_digest_if_changed(
-        "".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name
-    )
+    return _add_digest_if_changed("".join(c if c.isprintable() else "_" for c in name), name)
 
 
-def file_name(task: str) -> str:
-    """Return a task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
+def file_name(name: str) -> str:
+    """Return a name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
 
-    It has MAX_NAME_BYTES bytes at most. A name that is changed or cut ends with a digest of the task's name.
+    It has MAX_NAME_BYTES bytes at most and neither begins nor ends with a dot, and is not reserved by Windows. A name
+    that is changed or cut ends with a digest of the whole name.
 
-    >>> file_name("old-gold"), file_name("old gold")
-    ('old-gold', 'old_gold-0d18a0')
+    >>> file_name("old-gold"), file_name("old gold"), file_name("aux")
+    ('old-gold', 'old_gold-0d18a0', '_aux-321f68')
     """
-    safe_name = "".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task"
-    return _add_digest_if_changed(safe_name, task)
+    safe_name = re.sub(r"[^\w.-]", "_", name).strip(".") or "task"
+    return _add_digest_if_changed(f"_{safe_name}" if _WINDOWS_DEVICE.match(safe_name) else safe_name, name)
 
 
 def _add_digest_if_changed(safe_name: str, name: str) -> str:

@@ -222,7 +222,7 @@ def write_data_set(
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: a file, expected a folder to write to; choose another one.")
     _require_replaceable(folder, app, overwrite)
-    remove_partial(folder / "tasks")
+    remove_partial(folder)
     partial = partial_path(folder / "tasks")
     new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     partial.mkdir(parents=True)
@@ -423,7 +423,8 @@ def list_data_set_problems(folder: str | Path, holds: Mapping[str, TensorSpec] |
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
-        if path.name not in listed_names and path.stem not in stems
+        # hidden files are those of the system, such as .DS_Store, and of a command that is writing
+        if path.name not in listed_names and path.stem not in stems and not path.name.startswith(".")
     ]
     return problems
 

@@ -351,7 +351,7 @@ def embed(monkeypatch: pytest.MonkeyPatch, app: str, name: str) -> None:
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     embed(monkeypatch, "brdf", "INTERRUPTED")
-    stale = cache / "data" / ".partial-1-brdf"
+    stale = cache / "data" / ".partial-1a2b-brdf"
     stale.mkdir(parents=True)
     os.utime(stale, (time.time() - 7200,) * 2)
     with pytest.raises(KeyboardInterrupt):

@@ -25,7 +25,7 @@ START = MetaParameters(
 
 def test_checkpoints_read_back_as_written(tmp_path: Path) -> None:
     path, info = (
-        tmp_path / "\udcff" / "start.safetensors",
+        tmp_path / "größe" / "start.safetensors",
         {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]},
     )
     save_checkpoint(path, START, info)

@@ -49,7 +49,7 @@ def tamper_task(folder: Path, **changes: object) -> None:
 
 
 def test_data_sets_read_back_whole_and_by_split(tmp_path: Path) -> None:
-    folder = make_shard(tmp_path / "\udcff" / "data")
+    folder = make_shard(tmp_path / "größe" / "data")
     tasks = read_data_set(folder, app="brdf")
     assert [task.name for task in tasks] == ["gold", "silver"]
     assert torch.equal(tasks[1].data["angles"], torch.ones(4, 3))
@@ -162,15 +162,17 @@ def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch
 
 def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
     folder = make_shard(tmp_path, ("gold", "silver"))
-    (folder / f".partial-{2**22 + 1}-x-tasks").mkdir()  # a number above the largest process id of Linux
+    unfinished = folder / ".partial-1a2b-tasks"
+    unfinished.mkdir()
+    os.utime(unfinished, (0, 0))
     with pytest.raises(ValueError, match="holds a data set of 2 tasks, expected a new folder; add --overwrite"):
         make_shard(folder, ("gold", "tin"))
-    assert list_data_set_problems(folder) != []  # what is not its own
     make_shard(folder, ("gold", "tin"), overwrite=True)
     assert [task.name for task in read_data_set(folder)] == ["gold", "tin"]
     assert list_data_set_problems(folder) == []
     with pytest.raises(ValueError, match=r"holds tasks of 'brdf', expected an empty folder or tasks of 'texture'"):
         make_shard(folder, app="texture")
+    assert not unfinished.exists()
 
 
 def test_missing_parts_wrong_kinds_and_links_out_are_refused(tmp_path: Path) -> None:
@@ -203,7 +205,8 @@ def test_check_finds_tampering(tmp_path: Path) -> None:
     payload[-4:] = b"\0\0\xc0\x7f"  # NaN
     (folder / "gold.safetensors").write_bytes(payload)
     (folder / "silver.safetensors").write_bytes(b"junk")
-    (folder / "extra.txt").write_bytes(b"")
+    for name in ("extra.txt", ".DS_Store"):
+        (folder / name).write_bytes(b"")
     problems = list_data_set_problems(folder)
     assert len(problems) == 4
     assert "gold.safetensors: SHA-256" in problems[0]

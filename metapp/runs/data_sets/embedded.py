@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import os
 import shutil
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +20,8 @@ from metapp.runs.environment import torch_defaults
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.cache_folders import cache_folder
-from metapp.storage.files import PARTIAL_PREFIX, partial_path
-from metapp.storage.folders import PathKind, path_kind
+from metapp.storage.files import partial_path, remove_partial
+from metapp.storage.folders import is_data_set
 from metapp.storage.shards import read_manifest, write_data_set
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 DEFAULT_SET_VERSION = 1
 
 _SPLIT_NOTE = "part"  # the note of a folder that holds one split only, whose value names the split
-_STALE_SECONDS = 3600.0  # the age from which an unfinished folder is taken as left by a program that was killed
 
 
 def embedded_module(application: Application) -> EmbeddedSet:
@@ -137,7 +135,7 @@ def embedded_folders(application: Application) -> list[Path]:
         return []
     notes = _default_notes(application)
     folders = [_cached_set_path(application, notes | {_SPLIT_NOTE: "test"}), _cached_set_path(application, notes)]
-    return [folder for folder in folders if path_kind(folder) is PathKind.DATA_SET]
+    return [folder for folder in folders if is_data_set(folder)]
 
 
 def has_embedded_training(application: Application) -> bool:
@@ -174,9 +172,7 @@ def _provide_cached_set(application: Application, counts: dict[str, int], notes:
         is_part = _SPLIT_NOTE in notes
         content = f"{notes[_SPLIT_NOTE]} tasks of the embedded data set" if is_part else "embedded data set"
         say(f"{application.name}: making the {content}, once: {folder}")
-    for unfinished in folder.parent.glob(f"{PARTIAL_PREFIX}*"):  # left by programs that were killed
-        if time.time() - unfinished.stat().st_mtime > _STALE_SECONDS:
-            shutil.rmtree(unfinished, ignore_errors=True)
+    remove_partial(folder.parent)
     partial = partial_path(folder)  # under a name of its own, since another program may be making the same set
     try:
         _write_set(application, partial, counts, notes, quiet=quiet)

@@ -24,7 +24,6 @@ from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_i
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
-from metapp.storage.files import path_from_json_text
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records, read_packed_record
 from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind
@@ -158,8 +157,8 @@ def _find_tasks_of_group(records: list[FitRecord], inputs: Sequence[Path], data:
     label, places = settings.data, [place for origin in origins for place in origin.inputs]
     if not (inputs or data):
         places += [record.source for record in records] if label == FILES_LABEL else []
-        inputs = [path for path in map(path_from_json_text, dict.fromkeys(places)) if path.exists()]
-        data_folders = (path_from_json_text(origin.data) for origin in origins if origin.data)
+        inputs = [path for path in map(Path, dict.fromkeys(places)) if path.exists()]
+        data_folders = (Path(origin.data) for origin in origins if origin.data)
         data = next((folder for folder in data_folders if folder.is_dir()), None)
     # test tasks of the embedded set may lie in a folder of their own, or beside its training tasks
     application = application_named(settings.app)
