@@ -1,8 +1,8 @@
 """Readers and writers of files, one module a format.
 
 Read these first: `listing` finds files in folders, `input_source` says what a reader finds. `image_files` reads
-pictures, which `opened_images` opens, with `colours`, `lenses` and `camera_raws`; `arrays` and `numbers` read pictures
-and numbers in memory.
+pictures, which `opened_images` opens, with `colours` and `lenses`; `arrays` and `numbers` read pictures and numbers in
+memory.
 
 Readers of BRDFs make tasks by `brdf_task` or `measured_pairs`: `merl`, `nbrdf_files`, `gonio` and `brdf_objects`.
 Readers of photographs build on `square_photos`, which reads textures itself: `flash_photos`, and for non-stationary

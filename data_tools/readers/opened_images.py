@@ -17,7 +17,6 @@ from types import ModuleType
 import numpy as np
 import OpenImageIO as oiio
 
-from data_tools.readers import camera_raws
 from data_tools.readers.colours import Floats
 from metapp.storage.files import check_readable, open_regular
 
@@ -30,8 +29,12 @@ IMAGE_SUFFIXES = (
     ".rgba", ".rgbe", ".rla", ".sgi", ".sxr", ".targa", ".tga", ".tif", ".tiff", ".tpic", ".tx", ".vda", ".vst",
     ".webp", ".xyze",
 )  # fmt: skip
+RAW_SUFFIXES = (  # of camera raws, in whose place image libraries would read the preview
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos", ".mrw",
+    ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
+)  # fmt: skip
 _HEIF_SUFFIXES = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read these
-ALL_PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *camera_raws.RAW_SUFFIXES, *_HEIF_SUFFIXES)
+ALL_PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES, *_HEIF_SUFFIXES)
 EXPECTED_IMAGE = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 INSTALL_HEIF = 'pip install "metapp[heic]"'
 
@@ -61,8 +64,8 @@ def open_image(path: Path) -> oiio.ImageInput:
         ValueError: the file is a camera raw or no image, or its name is not UTF-8.
     """
     check_readable(path)
-    if path.suffix.lower() in camera_raws.RAW_SUFFIXES or camera_raws.is_raw(path):
-        raise ValueError(_develop_advice(path))
+    if path.suffix.lower() in RAW_SUFFIXES:
+        raise ValueError(export_advice(path))
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), settings)
@@ -265,15 +268,10 @@ def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
 
 def export_advice(path: Path) -> str:
     """Return the line that tells the user how to export a camera raw or a HEIF or AVIF picture."""
-    if path.suffix.lower() in camera_raws.RAW_SUFFIXES:
-        return _develop_advice(path)
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return f"{path}: raw values of a camera, {EXPECTED_IMAGE}; develop it and export it as JPEG or PNG."
     remedy = "" if can_read_heif() or not is_heif(path) else f", or read it as it is: {INSTALL_HEIF}"
     return f"{path}: a picture in HEIF or AVIF, {EXPECTED_IMAGE}; export it as JPEG or PNG{remedy}."
-
-
-def _develop_advice(path: Path) -> str:
-    """Return the line that tells the user to develop a camera raw."""
-    return f"{path}: raw values of a camera, {EXPECTED_IMAGE}; develop it and export it as JPEG or PNG."
 
 
 def is_heif(path: Path) -> bool:

@@ -1,6 +1,5 @@
-"""Files that hold a preview beside the picture, raws under the name of a TIFF, and which suffixes are pictures."""
+"""Files that hold a preview beside the picture, camera raws, and which suffixes are pictures."""
 
-import struct
 import warnings
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 from PIL import Image
 
 from data_tools.readers import material_files, square_photos
-from data_tools.readers.camera_raws import is_raw
 from data_tools.readers.image_files import read_pixels, shape_of
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES
 from tests.found_paths import find_paths
@@ -51,55 +49,11 @@ def test_first_picture_with_previews_causes_no_line(tmp_path: Path) -> None:
     assert "2 pictures, taken: number 1, 80x60 px" in line
 
 
-def tiff_directory(place: int, *tags: tuple[int, int, int]) -> bytes:
-    """A directory of tags, types and values, without another one after it."""
-    entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
-    return struct.pack("<H", len(tags)) + entries + struct.pack("<I", place)
-
-
-def raw_of(kind: str) -> bytes:
-    """The beginning of a raw as cameras write it."""
-    header = b"II*\0" + struct.pack("<I", 8)
-    after = 8 + 2 + 12 + 4
-    mosaic = tiff_directory(0, (0x0106, 3, 32803))
-    return {
-        "mosaic": header + mosaic,
-        "mosaic after a preview": header + tiff_directory(after, (0x0106, 3, 2)) + mosaic,
-        "mosaic below a preview": header + tiff_directory(0, (0x014A, 4, after)) + mosaic,
-        "DNG": header + tiff_directory(0, (0xC612, 1, 1)),
-        "Nikon": header + tiff_directory(0, (0x0103, 3, 34713)),
-        "Canon": b"II*\0\x10\0\0\0CR\2\0",
-        "Fujifilm": b"FUJIFILMCCD-RAW 0201",
-        "Panasonic": b"IIU\0\x18\0\0\0",
-        "CR3": b"\0\0\0\x18ftypcrx \0\0\0\1",
-    }[kind]
-
-
-RAWS = ("mosaic", "mosaic after a preview", "mosaic below a preview", "DNG", "Nikon", "Canon", "Fujifilm", "Panasonic",
-        "CR3")  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", RAWS)
-@pytest.mark.parametrize("name", ["DSC_1.TIF", "DSC_1.jpg", "DSC_1.nef"])
-def test_raw_files_are_recognised_by_content_whatever_their_name(tmp_path: Path, kind: str, name: str) -> None:
-    (path := tmp_path / name).write_bytes(raw_of(kind))
-    assert is_raw(path)
-    with pytest.raises(ValueError, match=r"raw values of a camera, .*; develop it and export it as JPEG or PNG"):
-        square_photos.read_task(path)
-
-
-def test_pictures_are_not_taken_for_raw_files(tmp_path: Path) -> None:
-    for suffix in (".tif", ".jpg", ".png", ".exr"):
-        values = PICTURE.astype(np.float32) if suffix == ".exr" else PICTURE
-        assert not is_raw(write_image(tmp_path / f"a{suffix}", values))
-    assert not is_raw(write_image(tmp_path / "f.tif", PICTURE.astype(np.float32)))
-    assert not is_raw(pages(tmp_path / "pages.tif", PREVIEW, PICTURE))
-    loop = b"II*\0" + struct.pack("<I", 8) + tiff_directory(8, (0x0106, 3, 2))  # a directory after itself
-    for content in (b"", b"II*\0", b"II*\0\xff\xff\xff\xff", loop, b"MM\0*" + bytes(4)):
-        (path := tmp_path / "damaged.tif").write_bytes(content)
-        assert not is_raw(path)
-    assert not is_raw(tmp_path)
-    assert not is_raw(tmp_path / "none")
+def test_raw_files_are_to_be_developed(tmp_path: Path) -> None:
+    """Image libraries would read the preview of the raw, which is a TIFF file."""
+    raw = write_image(tmp_path / "DSC_1.tif", PICTURE).rename(tmp_path / "DSC_1.NEF")
+    with pytest.raises(ValueError, match=r"DSC_1.NEF: raw values of a camera, .*; develop it and export it as JPEG"):
+        square_photos.read_task(raw)
 
 
 # What is mostly no picture by its name, and names of OpenImageIO for no files
