@@ -17,10 +17,11 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.flash import texel_positions
 from metapp.storage.files import read_text
-from metapp.storage.folders import LIGHT_DIRECTIONS_SUFFIX, list_folder
+from metapp.storage.folders import list_folder
 
 FAR_HALF_SIDES = 20.0  # distance of the camera
 NEAREST_HALF_SIDES, FARTHEST_HALF_SIDES = 2.0, 50.0  # of lights
+LIGHT_DIRECTIONS_SUFFIX = ".lp"  # of a text beside photographs by a camera that stands still
 COMPARED_CELLS = 16  # a side of the photographs, by which the distance of the lights is found
 MIN_SINE = math.sin(math.radians(10))  # of the angle of a light with the material: lower ones leave it in shadow
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from metapp.storage.files import placeholder_line
-from metapp.storage.folders import FAILED_PICTURE_SUFFIX, cached_lookup, holds_files_of_users, list_folder
+from metapp.storage.folders import FAILED_PICTURE_SUFFIX, cached_lookup, list_folder, path_kind
 
 FoundFiles = tuple[list[Path], list[str]]  # the files of a path, and the line of each skipped file of a folder
 
@@ -100,12 +100,13 @@ def _list_all_below(folder: str) -> list[str]:
     files, folders = [], [folder]
     while folders:  # not recursive, since folders may be nested deeper than Python's stack
         current_folder = folders.pop()
-        takes_files, takes_folders = holds_files_of_users(current_folder)
+        if path_kind(current_folder):
+            continue
         for entry in list_folder(current_folder):
-            if entry.name.startswith(".") or (entry.name.endswith(FAILED_PICTURE_SUFFIX) and entry.is_file()):
+            if entry.name.startswith("."):
                 continue
             if entry.is_dir(follow_symlinks=False):
-                folders += [entry.path] * takes_folders
-            elif takes_files and entry.is_file():
+                folders.append(entry.path)
+            elif entry.is_file() and not entry.name.endswith(FAILED_PICTURE_SUFFIX):
                 files.append(entry.path)
     return sorted(files, key=lambda file: file.split(os.sep))

@@ -25,16 +25,24 @@ from data_tools.readers.input_source import (
 )
 from data_tools.readers.light_directions import (
     FAR_HALF_SIDES,
+    LIGHT_DIRECTIONS_SUFFIX,
     find_light_distance,
     find_light_file,
     read_lights,
 )
-from data_tools.readers.square_photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
+from data_tools.readers.square_photos import (
+    CAMERA_TEXT,
+    LIGHT_TEXT,
+    SIZE_TEXT,
+    folders_with_places,
+    is_photo,
+    read_photo,
+)
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.appearance.colour import srgb_to_linear
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, list_folder, path_kind
+from metapp.storage.folders import FAILED_PICTURE_SUFFIX, list_folder
 
 MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
 # Photographs that are read, at most. Time and memory of a fit grow with them: 10 took 16 s, 20 took 51 s and 2.1 GB.
@@ -67,7 +75,7 @@ def photos_in(folder: Path) -> list[Path]:
     if lights := find_light_file(folder):
         return read_lights(lights)[0]
     paths = sorted(Path(entry.path) for entry in list_folder(str(folder)) if not entry.name.startswith("."))
-    return [path for path in paths if path_kind(path) is PathKind.FILE and is_photo(path)]
+    return [path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX) and is_photo(path)]
 
 
 def read_task(

@@ -19,6 +19,7 @@ from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, is_readable_image, read_pixels
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Sources, sources_of_files
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
+from data_tools.readers.light_directions import LIGHT_DIRECTIONS_SUFFIX
 from data_tools.readers.listing import FoundFiles, files_below, find_files
 from data_tools.readers.opened_images import (
     ALL_PICTURE_SUFFIXES,
@@ -32,7 +33,6 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, path_kind
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
@@ -40,8 +40,9 @@ _LEAST_ALPHA = 0.02  # below it a px is transparent, and its colour is not known
 _MIN_DEVIATION = 1 / 255  # standard deviation of sRGB values below which a picture has one colour
 _ROWS_AT_ONCE = 256  # rows decoded at a time: linear floats of a whole photograph take over 100 MB
 
-# The text file beside photographs of one flat material that states the material's side in cm.
-SIZE_TEXT = "image_size.txt"
+# Text files beside rectified photographs of one flat material: places of camera and flash, one of which suffices, and
+# the material's side in cm
+CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT = "camera_pos.txt", "light_pos.txt", "image_size.txt"
 # Texts that are no fault in folders of images; no fit reads the power of the light.
 TEXTS_BESIDE_PHOTOS = ("metadata.json", DESCRIPTION_FILE, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
@@ -88,8 +89,11 @@ def recognises(path: str | Path) -> bool:
 
 def folders_with_places(folder: Path) -> list[Path]:
     """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones."""
-    folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT, LIGHT_DIRECTIONS_SUFFIX))}
-    return sorted(folder for folder in folders if path_kind(folder) is PathKind.RECTIFIED)
+    texts = files_below(folder, (CAMERA_TEXT, LIGHT_TEXT, LIGHT_DIRECTIONS_SUFFIX))
+    names = (CAMERA_TEXT, LIGHT_TEXT)  # other names may end as these do, such as my_camera_pos.txt
+    return sorted(
+        {text.parent for text in texts if text.name in names or text.suffix.lower() == LIGHT_DIRECTIONS_SUFFIX}
+    )
 
 
 def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Task:

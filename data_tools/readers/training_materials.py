@@ -23,7 +23,7 @@ from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.storage.folders import SHARD_SUFFIX, PathKind, path_kind
+from metapp.storage.folders import SHARD_SUFFIX, is_data_set
 from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest
 
 APP = "svbrdf_nonstationary"
@@ -42,7 +42,7 @@ def find(path: Path) -> Sources:
     Raises:
         ValueError: the path holds neither; see :func:`material_maps.find` and :func:`read_data_set`.
     """
-    if path_kind(path) is PathKind.DATA_SET:
+    if is_data_set(path):
         return sources_of_files(([path / file for file in _read_drawn(path)], []))
     return material_maps.find(path)
 

@@ -19,13 +19,12 @@ from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import CheckpointTraining
 from metapp.runs.choice import Choice, has_shipped_recipe
-from metapp.runs.inputs.refusals import path_refusal
+from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import say
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.files import file_digest
-from metapp.storage.folders import PathKind, path_kind
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkpoint_path
 
 
@@ -193,8 +192,7 @@ def _checkpoint_path(choice: Choice, training: CheckpointTraining) -> Path:
     if named_path and named_path.is_dir():
         path = named_path / f"{checkpoint_name(choice.application, choice.app, training)}.safetensors"
         if not path.is_file():
-            if path_kind(named_path) is not PathKind.FILES:
-                raise ValueError(path_refusal(named_path, f"a folder of checkpoints with {path.name}"))
+            check_files_of_user(named_path, f"a folder of checkpoints with {path.name}")
             names = ", ".join(sorted(file.stem for file in named_path.glob("*.safetensors"))) or "no checkpoints"
             raise ValueError(
                 f"{named_path}: holds {names}, expected {path.name}; train it with --train, or name another folder."

@@ -33,6 +33,7 @@ from metapp.storage.files import (
 from metapp.storage.fit_records import FitRecord, Settings, decode_record, encode_record
 from metapp.storage.folders import PARAMS as PARAMS
 from metapp.storage.folders import RECORD as RECORD
+from metapp.storage.folders import FolderKind, mark_folder
 
 
 def write_fit(
@@ -68,7 +69,8 @@ def write_fit(
     folder = Path(earlier_record.folder) if earlier_record else partial_path(plain_folder)
     try:
         with name_file_in_errors(plain_folder):
-            folder.mkdir(parents=True, exist_ok=True)
+            mark_folder(run_folder, FolderKind.RUN)
+            folder.mkdir(exist_ok=True)
             if theta is not None:
                 content = save({key: value.detach().cpu().contiguous() for key, value in theta.items()})
                 write_bytes(folder / PARAMS, content)

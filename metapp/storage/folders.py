@@ -1,8 +1,7 @@
-"""The kinds of folders: what a path is, decided in one place for all commands.
+"""The kinds of folders that metapp writes, which no command takes as files of a user.
 
-A folder means one thing: a data set (it holds a manifest), a fit (it holds a record), a run (it holds fits), rectified
-photographs (it holds positions of cameras or flashes), pictures that show what metapp found in photographs, or else
-files of a user.
+Each is told by a file in it: a data set by its manifest, a fit by its record, the folders of runs and of pictures of
+results by a marker. Any other folder is a user's.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from metapp.storage.files import PARTIAL_PREFIX, read_bytes
+from metapp.storage.files import PARTIAL_PREFIX, read_bytes, write_bytes
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
@@ -25,34 +24,24 @@ Result = TypeVar("Result")
 MANIFEST = "manifest.json"  # the file of a data set that lists its tasks
 SHARD_SUFFIX = ".safetensors"  # the suffix of the files of tasks in a data set
 RECORD, PARAMS = "record.json", "params.safetensors"  # files in the folder of a fit
-CAMERA_TEXT, LIGHT_TEXT = "camera_pos.txt", "light_pos.txt"  # files beside rectified photographs; one of them suffices
-LIGHT_DIRECTIONS_SUFFIX = ".lp"  # of a text beside photographs by a camera that stands still
+MARKER = ".metapp"  # the file in the folder of a run, or of results, that says so
 # The folder of pictures that show what was found, in a data set or beside rectified photographs
-DIAGNOSTIC_FOLDER = "found"
+FOUND_FOLDER = "found"
 # The end of the name of a picture that shows photographs which metapp could not use
 FAILED_PICTURE_SUFFIX = ".failed.png"
 
 
-class PathKind(enum.Enum):
-    """The kinds of paths; each value says in words what such a path is."""
+class FolderKind(enum.Enum):
+    """The kinds of folders that metapp writes; each value says in words what such a folder is."""
 
     DATA_SET = "a data set"
     FIT = "the folder of a fit"
-    RUN_FOLDER = "the folder of a run"
-    FOLDER_OF_RUNS = "a folder of runs"
-    RECTIFIED = "a folder of rectified photos"
-    DIAGNOSTIC = "made by metapp to show its results"
-    FILES = "a folder"
-    FILE = "a file"
-    NOTHING = "no such file or folder"
+    RUN = "the folder of a run"
+    RESULTS = "made by metapp to show its results"
 
-
-# Kinds of folders that metapp writes, and that hold no files of a user
-WRITTEN_KINDS = (PathKind.DATA_SET, PathKind.FIT, PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC)
-KINDS_WITH_FITS = (PathKind.FIT, PathKind.RUN_FOLDER, PathKind.FOLDER_OF_RUNS)
 
 # Where a folder of runs has its fits: `runs/brdf`, `runs`, and `runs` in which `metapp evaluate` alone wrote
-FITS_OF_RUNS = ("*/*/", "*/*/*/", "evaluate/*/*/*/")
+_FITS_OF_RUNS = ("*/*/", "*/*/*/", "evaluate/*/*/*/")
 
 # Results of functions that look at the disk, by function and arguments; None outside of `cache_lookups`
 _LOOKUPS: ContextVar[dict[tuple[Any, ...], Any] | None] = ContextVar("lookups", default=None)
@@ -105,111 +94,73 @@ def list_folder(folder: str) -> list[os.DirEntry[str]]:
         return list(entries)
 
 
-def path_kind(path: str | Path) -> PathKind:
-    """Return the kind of a path.
+def path_kind(path: str | Path) -> FolderKind | None:
+    """Return the kind of a folder that metapp wrote, or RESULTS for a picture of results; None for a user's path.
 
-    A file is diagnostic if it lies directly in the folder of a run, such as `pictures.png`, or in a folder of
-    pictures that show what was found, or if its name ends with FAILED_PICTURE_SUFFIX. A JSON file of another program is
-    neither a manifest nor a record.
+    A picture of results lies directly in the folder of a run or in a folder of results, or its name ends with
+    FAILED_PICTURE_SUFFIX.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, CAMERA_TEXT).write_text("0,0,16")
-    ...     path_kind(folder), path_kind(Path(folder, "none"))
-    (<PathKind.RECTIFIED: 'a folder of rectified photos'>, <PathKind.NOTHING: 'no such file or folder'>)
+    ...     mark_folder(Path(folder, "found"), FolderKind.RESULTS)
+    ...     path_kind(folder), path_kind(Path(folder, "found")).value
+    (None, 'made by metapp to show its results')
     """
     place = os.path.abspath(path)
-    if not os.path.isdir(place):
-        if not os.path.lexists(place):
-            return PathKind.NOTHING
-        if place.endswith(FAILED_PICTURE_SUFFIX):
-            return PathKind.DIAGNOSTIC
-        folder_kind = quick_folder_kind(os.path.dirname(place))
-        return PathKind.DIAGNOSTIC if folder_kind in (PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC) else PathKind.FILE
-    kind = quick_folder_kind(place)
-    return PathKind.FOLDER_OF_RUNS if kind is PathKind.FILES and find_record_files(Path(path), *FITS_OF_RUNS) else kind
-
-
-def holds_files_of_users(folder: str) -> tuple[bool, bool]:
-    """Tell a walk through folders where files of a user may lie.
-
-    Returns:
-        Whether the files in a folder are a user's, and whether the folders below it are to be searched.
-    """
-    kind = quick_folder_kind(os.path.abspath(folder))
-    return kind not in WRITTEN_KINDS, kind not in WRITTEN_KINDS or kind is PathKind.RUN_FOLDER
-
-
-def find_record_files(folder: Path, *places: str) -> list[Path]:
-    """Find the records of fits in a folder, without those that lie behind links.
-
-    Args:
-        folder: the folder.
-        places: patterns of the folders of fits relative to the folder, such as "*/*/".
-    """
-    files = [file for place in places for file in folder.glob(f"{place}{RECORD}")]
-    files = [file for file in files if file.resolve() == folder.resolve() / file.relative_to(folder)]
-    return [file for file in files if not file.parent.name.startswith(PARTIAL_PREFIX) and _is_fit(str(file.parent))]
-
-
-def is_data_set(path: Path) -> bool:
-    """Test whether a path is the folder of a data set, by its manifest alone."""
-    return _is_data_set(os.path.abspath(path))
+    if os.path.isdir(place):
+        return _folder_kind(place)
+    if not os.path.isfile(place):
+        return None
+    is_result = _folder_kind(os.path.dirname(place)) in (FolderKind.RUN, FolderKind.RESULTS)
+    return FolderKind.RESULTS if is_result or place.endswith(FAILED_PICTURE_SUFFIX) else None
 
 
 @cached_lookup
-def quick_folder_kind(folder: str) -> PathKind:
-    """Return the kind of a folder by its absolute path, without a search: a folder of runs counts as FILES."""
-    if _is_data_set(folder):
-        return PathKind.DATA_SET
-    if _is_fit(folder):
-        return PathKind.FIT
-    parent = os.path.dirname(folder)
-    if os.path.basename(folder) == DIAGNOSTIC_FOLDER and (_is_data_set(parent) or _is_rectified(parent)):
-        return PathKind.DIAGNOSTIC
-    if _is_run(folder):
-        return PathKind.RUN_FOLDER
-    return PathKind.RECTIFIED if _is_rectified(folder) else PathKind.FILES
+def _folder_kind(folder: str) -> FolderKind | None:
+    """Return the kind of a folder by its absolute path; None for a folder of a user.
+
+    Photographs may lie beside a manifest or a record of another program, whose entries differ.
+    """
+    for name, entries, kind in (
+        (MANIFEST, {"app", "tasks"}, FolderKind.DATA_SET),
+        (RECORD, {"name", "settings"}, FolderKind.FIT),
+    ):
+        document = read_json(os.path.join(folder, name))
+        if isinstance(document, dict) and document.keys() >= entries:
+            return kind
+    with contextlib.suppress(OSError, ValueError):  # there is no marker, or it is another program's
+        return FolderKind(read_bytes(os.path.join(folder, MARKER)).decode().strip())
+    return None
 
 
-def _is_data_set(folder: str) -> bool:
-    """Test whether a folder has a manifest; a damaged one counts if files of tasks lie beside it."""
-    file = os.path.join(folder, MANIFEST)
-    if not os.path.isfile(file):
-        return False
-    manifest = read_json(file)
-    if isinstance(manifest, dict) and manifest.keys() >= {"app", "tasks"}:
-        return True
-    return any(name.endswith(SHARD_SUFFIX) for name in os.listdir(folder))
+def mark_folder(folder: Path, kind: FolderKind) -> None:
+    """Make a folder if it is missing, and write into it of which kind it is.
+
+    Args:
+        folder: the folder.
+        kind: RUN or RESULTS; data sets and fits are marked by their manifest and record.
+
+    Raises:
+        OSError: the folder cannot be made or written to.
+    """
+    if not (folder / MARKER).exists():
+        write_bytes(folder / MARKER, f"{kind.value}\n".encode())
 
 
-def _is_fit(folder: str) -> bool:
-    """Test whether a folder has a record of a fit; a damaged one counts if parameters lie beside it."""
-    file = os.path.join(folder, RECORD)
-    if not os.path.isfile(file):
-        return False
-    record = read_json(file)
-    is_record = isinstance(record, dict) and "name" in record
-    return is_record or os.path.isfile(os.path.join(folder, PARAMS))
+def is_data_set(path: str | Path) -> bool:
+    """Test whether a path is the folder of a data set."""
+    return path_kind(path) is FolderKind.DATA_SET
 
 
-def _is_run(folder: str) -> bool:
-    try:
-        return any(
-            entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".") and _is_fit(entry.path)
-            for entry in list_folder(folder)
-        )
-    except OSError:  # whoever reads the folder will say that it cannot be read
-        return False
-
-
-def _is_rectified(folder: str) -> bool:
-    with contextlib.suppress(OSError):  # whoever reads the folder will say that it cannot be read
-        names = [entry.name for entry in list_folder(folder)]
-        return any(
-            name in (CAMERA_TEXT, LIGHT_TEXT) or name.lower().endswith(LIGHT_DIRECTIONS_SUFFIX) for name in names
-        )
-    return False
+def find_record_files(folder: Path) -> list[Path]:
+    """Find the records of fits in a folder of runs, such as `runs` or `runs/brdf`, without those behind links."""
+    files = [file for place in _FITS_OF_RUNS for file in folder.glob(f"{place}{RECORD}")]
+    files = [file for file in files if file.resolve() == folder.resolve() / file.relative_to(folder)]
+    return [
+        file
+        for file in files
+        if not file.parent.name.startswith(PARTIAL_PREFIX) and path_kind(file.parent) is FolderKind.FIT
+    ]
 
 
 def read_json(file: str) -> object:

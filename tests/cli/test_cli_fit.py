@@ -25,6 +25,7 @@ from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import file_digest
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import RECORD, FitStore, read_fit_records, read_params
+from metapp.storage.folders import MARKER
 from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")
@@ -128,7 +129,7 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert records[0].settings.steps == 40
     assert records[0].settings.versions["torch"] == str(torch.__version__)
     assert load_file(folder / "m4" / "params.safetensors")["w2"].shape == (21, 21)
-    assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png"}
+    assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png", MARKER}
     assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -10,6 +10,7 @@ import torch
 from metapp.learning.task import Task
 from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.fit_store import read_fit_records, write_fit
+from metapp.storage.folders import FolderKind, mark_folder
 from metapp.storage.shards import write_data_set
 from tests.extensions.capture.ball_photos import detailed_light, write_linear_png
 from tests.extensions.capture.ball_photos import photograph_ball as photograph_of_ball
@@ -23,8 +24,6 @@ FOLDERS = {  # each kind: its folder, and what a refusal says of it
     "set/found/0060.png": FOUND,
     "runs/texture/meta": RUN,
     "runs/texture/meta/bark": "of a fit",
-    "runs/texture": "a folder of runs",
-    "runs": "a folder of runs",
 }
 # commands that take a folder, {} its place, and the kinds that they take
 COMMANDS = {
@@ -48,9 +47,9 @@ COMMANDS = {
     "data ball {} --out out --quiet": (),
     "data check {}": ("set",),
     "data join {} other --out out --quiet": ("set",),
-    "export {} merl --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
-    "view {} --no-open --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
-    "compare {} {} --quiet": ("runs/texture/meta", "runs/texture/meta/bark", "runs/texture", "runs"),
+    "export {} merl --quiet": ("runs/texture/meta", "runs/texture/meta/bark"),
+    "view {} --no-open --quiet": ("runs/texture/meta", "runs/texture/meta/bark"),
+    "compare {} {} --quiet": ("runs/texture/meta", "runs/texture/meta/bark"),
 }
 # commands that take the data set itself, as their own application's
 TAKEN = ("meta texture", "baseline texture", "meta texture --data", "evaluate texture --data")
@@ -64,7 +63,7 @@ def folders(tmp_path: Path) -> Path:
     for name in ("set", "other"):
         tasks = [(Task(f"{name}-bark", {"image": torch.randint(256, (3, 64, 64), dtype=torch.uint8)}), "test", "")]
         write_data_set(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
-    (tmp_path / "set/found").mkdir()
+    mark_folder(tmp_path / "set/found", FolderKind.RESULTS)
     write_noise_photo(tmp_path / "set/found/0060.png")
     settings = Settings(app="texture", paradigm="meta", rule="basis", recipe="quick", data="files")
     record = FitRecord(name="bark", error=1.0, seconds=1.0, settings=settings)
@@ -85,15 +84,18 @@ def test_folders_are_taken_or_refused_by_a_line(metapp: Callable, folders: Path,
         line = result.error
         if place == "set" and command.startswith(OTHERS):
             assert "holds tasks of 'texture'" in line
-        elif "data ball" in command and "runs" in place and description == "a folder of runs":
-            assert "a folder, expected an image file" in line
-        elif "data rectify" in command and description == "a folder of runs":
-            assert "no image in this folder" in line
         else:
             assert f"{place}: " in line, result
             assert description in line, result
             assert "metapp" in line or description == FOUND, result
     assert not (folders / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "command", ["meta texture runs", "data images runs --out out", "data rectify runs --out out", "data check runs"]
+)
+def test_a_folder_of_runs_holds_no_input(metapp: Callable, folders: Path, command: str) -> None:
+    assert "runs: no" in metapp(*command.split()).error
 
 
 def test_commands_do_not_refuse_the_folders_they_take(metapp: Callable, folders: Path) -> None:

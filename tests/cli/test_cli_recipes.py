@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 
 import metapp as api
 from data_tools.readers import gonio
-from data_tools.readers.square_photos import SIZE_TEXT
+from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.features import IMAGENET_DIGESTS
 from metapp.apps.transport import guided_pictures
@@ -36,7 +36,6 @@ from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
 from metapp.storage.fit_store import PARAMS, read_fit_records, read_params
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from tests.anisotropic import measure_with_noise
 from tests.appearance.test_features import random_weights
 from tests.cli.test_cli_protocols import ball, flash, strip

@@ -14,7 +14,7 @@ from torch import Generator
 from data_tools.readers import placed_photos as photos
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.input_source import Source
-from data_tools.readers.square_photos import SIZE_TEXT
+from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -24,7 +24,6 @@ from metapp.runs.choice import choose_recipe, find_and_choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
 from metapp.storage.shipped_checkpoints import checkpoint_folder, shipped_checkpoint_path
 from tests.recipe_apps import application, input_formats, recipes_of

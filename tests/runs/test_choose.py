@@ -13,6 +13,7 @@ import torch
 
 from data_tools.readers import gonio
 from data_tools.readers.merl import FILE_BYTES
+from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
@@ -23,7 +24,6 @@ from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import find_inputs
 from metapp.runs.reporter import Reporter, use_reporter
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
 from tests.anisotropic import measure_with_noise
 from tests.pictures import write_planes

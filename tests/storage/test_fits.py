@@ -33,6 +33,7 @@ from metapp.storage.fit_store import (
     read_params,
     write_fit,
 )
+from metapp.storage.folders import MARKER
 
 
 def test_a_text_has_line_ends_of_one_kind(tmp_path: Path) -> None:
@@ -192,7 +193,7 @@ def test_a_fit_is_a_folder(tmp_path: Path) -> None:
     assert read_fit_records(tmp_path / "run") == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]
     assert torch.equal(load_file(folder / PARAMS)["w"], torch.ones(3, 2))
-    assert [place.name for place in (tmp_path / "run").iterdir()] == [folder.name]
+    assert {place.name for place in (tmp_path / "run").iterdir()} == {folder.name, MARKER}
 
 
 def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> None:
@@ -205,7 +206,7 @@ def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> N
     with pytest.raises(OSError, match=rf"{tmp_path}: No space left on device; gold was not written; free some space"):
         write_fit(tmp_path, record("gold"), THETA, draw)
     assert seen == [([PARAMS], [])]
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [tmp_path / MARKER]
     write_fit(tmp_path, record("gold", error=7.0), THETA)
     with pytest.raises(OSError, match="No space left"):
         write_fit(tmp_path, record("gold"), THETA, draw)
@@ -219,7 +220,7 @@ def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
         write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})
     marked = name_with_digest("wall", "/b/wall.jpg")
     assert {record.name: record.error for record in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
-    assert {folder.name for folder in tmp_path.iterdir()} == {"wall", marked}
+    assert {folder.name for folder in tmp_path.iterdir()} == {"wall", marked, MARKER}
     assert read_params(tmp_path / marked)["w"] == 4.0
     fits = FitStore(tmp_path, Settings())
     found = fits.find("wall", "/b/wall.jpg", "")

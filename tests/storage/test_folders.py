@@ -1,4 +1,4 @@
-"""Kinds of folders: what each is, whatever lies beside, and which of their files a walk takes."""
+"""The kinds of folders that metapp writes, and which files a walk takes."""
 
 import json
 from pathlib import Path
@@ -7,41 +7,25 @@ import pytest
 
 from data_tools.readers.listing import files_below
 from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
-from metapp.storage.folders import (
-    CAMERA_TEXT,
-    DIAGNOSTIC_FOLDER,
-    LIGHT_TEXT,
-    MANIFEST,
-    PARAMS,
-    RECORD,
-    PathKind,
-    path_kind,
-)
+from metapp.storage.folders import FOUND_FOLDER, MANIFEST, MARKER, RECORD, FolderKind, find_record_files, path_kind
 
 SET = json.dumps({"app": "texture", "schema": 1, "tasks": [], "units": {}, "notes": {}})
 FIT = json.dumps({"name": "gold", "error": None, "settings": {}})
+RUN, RESULTS = FolderKind.RUN.value, FolderKind.RESULTS.value
 
-
-FOLDERS: dict[str, tuple[PathKind, dict[str, str]]] = {
-    "a manifest": (PathKind.DATA_SET, {MANIFEST: SET, "bark.png": ""}),
-    "a damaged manifest beside tasks": (PathKind.DATA_SET, {MANIFEST: "{", "gold.safetensors": ""}),
-    "another program's manifest": (PathKind.FILES, {MANIFEST: '{"name": "an app"}', "bark.png": ""}),
-    "a text called manifest": (PathKind.FILES, {MANIFEST: "", "bark.png": ""}),
-    "a manifest that is a list": (PathKind.FILES, {MANIFEST: "[]"}),
-    "a record": (PathKind.FIT, {RECORD: FIT, "fit.png": ""}),
-    "a damaged record beside parameters": (PathKind.FIT, {RECORD: "{", PARAMS: ""}),
-    "another program's record": (PathKind.FILES, {RECORD: '{"track": 7}', "bark.png": ""}),
-    "fits": (PathKind.RUN_FOLDER, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
-    "runs of an application": (PathKind.FOLDER_OF_RUNS, {f"meta/gold/{RECORD}": FIT}),
-    "runs": (PathKind.FOLDER_OF_RUNS, {f"brdf/meta/gold/{RECORD}": FIT}),
-    "runs of evaluate": (PathKind.FOLDER_OF_RUNS, {f"evaluate/brdf/meta/gold/{RECORD}": FIT}),
-    "photos beside all runs": (PathKind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
-    "an unfinished fit": (PathKind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
-    "cameras": (PathKind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),
-    "flashes": (PathKind.RECTIFIED, {LIGHT_TEXT: "0,0,1", "00.png": ""}),
-    "a name that ends alike": (PathKind.FILES, {f"my_{CAMERA_TEXT}": "0,0,1"}),
-    "photos": (PathKind.FILES, {"bark.png": ""}),
-    "nothing": (PathKind.FILES, {}),
+FOLDERS: dict[str, tuple[FolderKind | None, dict[str, str]]] = {
+    "a manifest": (FolderKind.DATA_SET, {MANIFEST: SET, "bark.png": ""}),
+    "another program's manifest": (None, {MANIFEST: '{"name": "an app"}', "bark.png": ""}),
+    "a manifest that is a list": (None, {MANIFEST: "[]", "bark.png": ""}),
+    "a damaged manifest": (None, {MANIFEST: "[" * 100_000, "bark.png": ""}),
+    "a record": (FolderKind.FIT, {RECORD: FIT, "fit.png": ""}),
+    "another program's record": (None, {RECORD: '{"name": "gold", "track": 7}', "bark.png": ""}),
+    "a run": (FolderKind.RUN, {MARKER: RUN, f"gold/{RECORD}": FIT, "pictures.png": ""}),
+    "results": (FolderKind.RESULTS, {MARKER: f"{RESULTS}\n", "00.png": ""}),
+    "another program's marker": (None, {MARKER: "x", "bark.png": ""}),
+    "runs": (None, {f"brdf/meta/{MARKER}": RUN, f"brdf/meta/gold/{RECORD}": FIT}),
+    "photos": (None, {f"{FOUND_FOLDER}/bark.png": ""}),
+    "nothing": (None, {}),
 }
 
 
@@ -56,27 +40,21 @@ def write_files(folder: Path, files: dict[str, str]) -> Path:
 @pytest.mark.parametrize("name", FOLDERS)
 def test_each_folder_has_one_kind(tmp_path: Path, name: str) -> None:
     kind, files = FOLDERS[name]
-    assert path_kind(write_files(tmp_path / "folder", files)) is kind
+    folder = write_files(tmp_path / "folder", files)
+    assert path_kind(folder) is kind
+    if not kind:
+        check_files_of_user(folder, "maps")
 
 
-@pytest.mark.parametrize("relative", [False, True])
-def test_result_pictures_are_recognised_by_their_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, relative: bool
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    base = Path() if relative else tmp_path
-    for above, is_ours in ({MANIFEST: SET}, True), ({CAMERA_TEXT: "0,0,1"}, True), ({"a.txt": ""}, False):
-        place = f"{len(list(tmp_path.iterdir()))}"
-        write_files(tmp_path / place, above | {f"{DIAGNOSTIC_FOLDER}/00.png": ""})
-        kinds = [path_kind(base / place / DIAGNOSTIC_FOLDER), path_kind(base / place / DIAGNOSTIC_FOLDER / "00.png")]
-        assert kinds == ([PathKind.DIAGNOSTIC] * 2 if is_ours else [PathKind.FILES, PathKind.FILE])
-    write_files(tmp_path / "run", {f"gold/{RECORD}": FIT, "pictures.png": "", "gold/fit.png": ""})
-    assert path_kind(base / "run/pictures.png") is PathKind.DIAGNOSTIC
-    assert path_kind(base / "run/gold/fit.png") is PathKind.FILE  # which may be an input, where it is named
-    assert path_kind(base / "none") is PathKind.NOTHING
+def test_pictures_of_results_are_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_files(tmp_path / "runs", {MARKER: RUN, "pictures.png": "", f"gold/{RECORD}": FIT, "gold/fit.png": ""})
+    write_files(tmp_path / "found", {MARKER: RESULTS, "00.png": ""})
     write_files(tmp_path / "photos", {"leaf.failed.png": "", "failed.png": ""})
-    assert path_kind(base / "photos/leaf.failed.png") is PathKind.DIAGNOSTIC
-    assert path_kind(base / "photos/failed.png") is PathKind.FILE
+    monkeypatch.chdir(tmp_path / "found")
+    for name in ("../runs/pictures.png", "00.png", "../photos/leaf.failed.png"):
+        assert path_kind(name) is FolderKind.RESULTS
+    for name in ("../runs/gold/fit.png", "../photos/failed.png", "../none"):  # a fit's picture may be named as an input
+        assert path_kind(name) is None
 
 
 def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
@@ -84,8 +62,9 @@ def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
     files = dict.fromkeys(taken, "") | {"notes/record.json": '{"track": 7}', "leaf/camera_pos.txt": "0,0,1"}
     left = {
         "garden/manifest.json": SET, "garden/garden.exr": "", "garden/found/0060.png": "",
-        "leaf/found/00.png": "", "runs/texture/meta/pictures.png": "", "runs/texture/meta/comparison.png": "",
-        f"runs/texture/meta/bark/{RECORD}": FIT, "leaf.failed.png": "", "runs/texture/meta/bark/fit.png": "",
+        f"leaf/found/{MARKER}": RESULTS, "leaf/found/00.png": "", "leaf.failed.png": "",
+        f"runs/texture/meta/{MARKER}": RUN, "runs/texture/meta/pictures.png": "",
+        f"runs/texture/meta/bark/{RECORD}": FIT, "runs/texture/meta/bark/fit.png": "",
         "runs/texture/meta/bark/asset/bark_color.png": "",
     }  # fmt: skip
     folder = write_files(tmp_path / "all", files | left)
@@ -97,21 +76,27 @@ def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
     assert files_below(asset) == [asset / "bark_color.png"]
 
 
+def test_records_below_a_folder_are_found(tmp_path: Path) -> None:
+    taken = [f"{run}/gold/{RECORD}" for run in ("meta", "brdf/meta", "evaluate/brdf/meta")]
+    folder = write_files(tmp_path / "runs", dict.fromkeys([*taken, f"meta/.partial-1-tin/{RECORD}"], FIT))
+    (folder / "linked").symlink_to(folder / "meta")
+    assert {file.relative_to(folder).as_posix() for file in find_record_files(folder)} == set(taken)
+
+
 @pytest.mark.parametrize(
-    ("name", "words", "command"),
+    ("kind", "words", "command"),
     [
-        ("a manifest", "a data set, expected maps", "metapp meta texture {}"),
-        ("a record", "the folder of a fit, expected maps", "metapp view {}"),
-        ("fits", "the folder of a run, expected maps", "metapp view {}"),
-        ("cameras", "a folder of rectified photos, expected maps", "metapp meta svbrdf_nonstationary {}"),
-        ("runs", "a folder of runs, expected maps", "metapp view {}"),
+        (FolderKind.DATA_SET, "a data set, expected maps", "metapp meta texture {}"),
+        (FolderKind.FIT, "the folder of a fit, expected maps", "metapp view {}"),
+        (FolderKind.RUN, "the folder of a run, expected maps", "metapp view {}"),
+        (FolderKind.RESULTS, "made by metapp to show its results, expected maps", "give the photos"),
     ],
 )
 def test_a_refusal_says_what_it_is_and_which_command_takes_it(
-    tmp_path: Path, name: str, words: str, command: str
+    tmp_path: Path, kind: FolderKind, words: str, command: str
 ) -> None:
-    folder = write_files(tmp_path / "folder", FOLDERS[name][1])
-    line = path_refusal(folder, "maps")
+    folder = write_files(tmp_path / "folder", {MANIFEST: SET})
+    line = path_refusal(folder, kind, "maps")
     assert line.startswith(f"{folder}: {words}; ")
     assert command.format(folder) in line
 
@@ -120,13 +105,5 @@ def test_a_refusal_of_a_fit_names_the_only_command_that_takes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("metapp.runs.inputs.refusals.COMMANDS_OF_FITS", ("export",))  # as without extensions
-    folder = write_files(tmp_path / "folder", {RECORD: FIT})
-    assert path_refusal(folder, "maps").endswith(f"; metapp export takes it: metapp export {folder}.")
-
-
-def test_a_damaged_file_beside_files_of_users_does_no_harm(tmp_path: Path) -> None:
-    (tmp_path / MANIFEST).write_bytes(b"\xff" * 9)
-    (tmp_path / RECORD).write_bytes(b"[" * 100_000)
-    (tmp_path / "bark.png").touch()
-    check_files_of_user(tmp_path, "maps")
-    assert files_below(tmp_path, ".png") == [tmp_path / "bark.png"]
+    line = path_refusal(tmp_path, FolderKind.FIT, "maps")
+    assert line.endswith(f"; metapp export takes it: metapp export {tmp_path}.")

@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw
 from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
+from metapp.storage.folders import FolderKind, mark_folder
 from metapp.storage.image_writers import write_png
 
 _MAX_DRAWING_PX = 1200  # longer side of a drawing
@@ -41,7 +42,7 @@ def display_values(pixels: Pixels) -> Floats:
 
 
 def write_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Path) -> None:
-    """Write a photograph with outlines in colours as PNG.
+    """Write a photograph with outlines in colours as PNG into a folder of results.
 
     Args:
         pixels: the photograph.
@@ -52,6 +53,7 @@ def write_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path:
         OSError: the file cannot be written.
     """
     image = draw_outlines(pixels, outlines, _MAX_DRAWING_PX)
+    mark_folder(path.parent, FolderKind.RESULTS)
     write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
 
 

@@ -16,10 +16,10 @@ from metapp.learning.task import Task
 from metapp.registry import registry
 from metapp.runs.environment import torch_defaults
 from metapp.runs.inputs.finding import bind_reader_arguments
-from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
+from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, error_about_file
-from metapp.storage.folders import PathKind, cache_lookups, path_kind
+from metapp.storage.folders import cache_lookups
 from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry, write_data_set
 
 
@@ -85,17 +85,11 @@ def convert_files(
     """
     application, form = registry().find_format(name)
     reader = form.load()
-    paths, expected = list(paths), f"files for metapp data {name}"
+    paths = list(paths)
     for path in paths:
-        check_files_of_user(path, expected, data_sets=form.data_sets)
-    try:
-        with cache_lookups():
-            sources, skipped = _find_sources(reader.find, paths)
-    except ValueError:
-        # no format reads them, and folders of runs are likely the reason: they hold no file of a user
-        if run_folders := [path for path in paths if path_kind(path) is PathKind.FOLDER_OF_RUNS]:
-            raise ValueError(path_refusal(run_folders[0], expected)) from None
-        raise
+        check_files_of_user(path, f"files for metapp data {name}", data_sets=form.data_sets)
+    with cache_lookups():
+        sources, skipped = _find_sources(reader.find, paths)
     searched_folders = {folder for _, folder in sources.values()} - {None}
     format_entries = getattr(reader, "entries", entries_by_place)(list(sources), searched_folders, split)
     entries: dict[Path, ManifestEntry] = {place: format_entries[place] for place in sources if place in format_entries}

@@ -19,10 +19,10 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
+from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
-from metapp.storage.folders import PathKind, cached_lookup, path_kind
+from metapp.storage.folders import cached_lookup
 from metapp.storage.shards import Manifest, read_manifest
 
 DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files
@@ -65,8 +65,7 @@ def read_named_manifest(folder: Path) -> Manifest:
     Raises:
         ValueError: the folder is another one that metapp wrote, or its manifest cannot be read.
     """
-    if folder.is_dir() and path_kind(folder) not in (PathKind.DATA_SET, PathKind.FILES):
-        raise ValueError(path_refusal(folder, "the folder of a data set"))
+    check_files_of_user(folder, "the folder of a data set", data_sets=True)
     return read_manifest(folder)
 
 
@@ -172,8 +171,6 @@ def _input_refusal(application: Application, path: Path, expected: str) -> str:
         path: the path.
         expected: the inputs that the application takes, in words.
     """
-    if path_kind(path) is PathKind.FOLDER_OF_RUNS:
-        return path_refusal(path, f"an input of {application.name} ({expected})")
     if line := _first_placeholder_line(path):
         return line
     other_apps = sorted(

@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from metapp.registry import registry
-from metapp.storage.folders import (
-    KINDS_WITH_FITS,
-    MANIFEST,
-    WRITTEN_KINDS,
-    PathKind,
-    path_kind,
-    quick_folder_kind,
-    read_json,
-)
+from metapp.storage.folders import MANIFEST, FolderKind, path_kind, read_json
 
 COMMANDS_OF_FITS = ("view", "export", "compare")  # commands that take a fit or a run, as far as they are there
 
 
-def path_refusal(path: Path, expected: str) -> str:
-    """Return the message that refuses a path: what it is, what was expected, and which command takes it.
+def path_refusal(path: Path, kind: FolderKind, expected: str) -> str:
+    """Return the message that refuses what metapp wrote: what it is, what was expected, and which command takes it.
 
     Args:
         path: the path.
+        kind: its kind.
         expected: what was expected, in words.
     """
-    kind = path_kind(path)
-    if kind is PathKind.DATA_SET:
+    if kind is FolderKind.DATA_SET:
         app = _manifest_app(path)
         remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
-    elif kind in KINDS_WITH_FITS:
+    elif kind in (FolderKind.FIT, FolderKind.RUN):
         commands = [f"metapp {name}" for name in COMMANDS_OF_FITS if name in registry().commands]
         takers = f"{', '.join(commands[:-1])} and {commands[-1]} take it" if commands[1:] else f"{commands[0]} takes it"
         remedy = f"{takers}: {commands[0]} {path}"
-    elif kind is PathKind.DIAGNOSTIC:
-        remedy = "give the photos or files themselves"
-    elif kind is PathKind.RECTIFIED:
-        remedy = f"fit it by metapp meta svbrdf_nonstationary {path}"
     else:
-        remedy = "check the path"
+        remedy = "give the photos or files themselves"
     return f"{path}: {kind.value}, expected {expected}; {remedy}."
 
 
@@ -54,11 +41,9 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     Raises:
         ValueError: the path is a data set, a fit, a run, or a picture that shows results.
     """
-    place = os.path.abspath(path)
-    # it takes long to see whether a folder holds runs, and a folder of runs is not one of WRITTEN_KINDS
-    kind = quick_folder_kind(place) if os.path.isdir(place) else path_kind(path)
-    if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
-        raise ValueError(path_refusal(path, expected))
+    kind = path_kind(path)
+    if kind and not (data_sets and kind is FolderKind.DATA_SET):
+        raise ValueError(path_refusal(path, kind, expected))
 
 
 def _manifest_app(folder: Path) -> str:

@@ -26,7 +26,7 @@ from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records, read_packed_record
-from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind
+from metapp.storage.folders import FolderKind, find_record_files, path_kind
 from metapp.storage.parameters import read_checked_params
 
 
@@ -61,8 +61,8 @@ def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -
         records = [record for record in records if record.settings.paradigm]
     if not records:
         expected = "a run's folder, such as runs/brdf/meta"
-        if path_kind(place) in (PathKind.DATA_SET, PathKind.RECTIFIED, PathKind.DIAGNOSTIC):
-            raise ValueError(path_refusal(place, expected))
+        if (kind := path_kind(place)) in (FolderKind.DATA_SET, FolderKind.RESULTS):
+            raise ValueError(path_refusal(place, kind, expected))
         state = "no folders of fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise ValueError(f"{place}: {state}, expected {expected}.")
     names = [record.name for record in records]
@@ -106,15 +106,15 @@ def read_fit_of_file(file: Path) -> FitRecord:
 
 def holds_fits(path: Path) -> bool:
     """Test whether a path is the folder of a fit, of a run or of runs, which :func:`read_run_records` reads."""
-    return path_kind(path) in KINDS_WITH_FITS
+    return path_kind(path) in (FolderKind.FIT, FolderKind.RUN) or bool(find_record_files(path))
 
 
 def _newest_run_folder(folder: Path) -> Path:
     """Return the folder of the run with the latest record in a folder of runs, such as `runs` or `runs/brdf`.
 
-    A folder that is no folder of runs, or has no record, is returned as it is.
+    A folder that is no folder of runs is returned as it is.
     """
-    record_files = find_record_files(folder, *FITS_OF_RUNS) if path_kind(folder) is PathKind.FOLDER_OF_RUNS else []
+    record_files = find_record_files(folder)
     if not record_files:
         return folder
     run_folder = max(record_files, key=lambda file: file.stat().st_mtime_ns).parent.parent

@@ -46,7 +46,7 @@ def test_data_set_map_and_detected_ball_are_written(metapp: Callable, bracket: l
     assert task.data["certain"].shape == (2, 32, 64)
     assert float(task.data["certain"][0].mean()) == pytest.approx(output["seen"])
     assert (out / "garden.exr").is_file()
-    assert sorted(file.name for file in (out / "found").iterdir()) == ["a.png", "b.png", "c.png"]
+    assert sorted(file.name for file in (out / "found").glob("*.png")) == ["a.png", "b.png", "c.png"]
 
 
 def test_a_ball_from_above_has_a_level_map(metapp: Callable, photo: Path, tmp_path: Path) -> None:

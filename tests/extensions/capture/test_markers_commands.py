@@ -12,7 +12,7 @@ from PIL import Image
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
 from metapp.extensions.capture.markers.rectification import ONE_VIEW_SIDES, describe_single_view
-from metapp.storage.folders import PathKind, path_kind
+from metapp.storage.folders import FolderKind, path_kind
 from tests.extensions.capture.marker_photos import tilted_camera, write_photograph
 from tests.pictures import noise_image, write_image, write_text
 
@@ -128,7 +128,7 @@ def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, phot
     picture = np.asarray(Image.open(failed)).astype(int)
     for colour in ([0, 255, 0], [255, 0, 255]):  # markers, the opening
         assert (abs(picture - colour).max(-1) < 9).sum() > 300
-    assert path_kind(failed) is PathKind.DIAGNOSTIC
+    assert path_kind(failed) is FolderKind.RESULTS
     assert files_below(photos) == [photos / "a.jpg"]
     assert "made by metapp to show its results" in metapp("meta", "texture", failed).error
     assert "made by metapp to show its results" in metapp("data", "rectify", failed, "--out", "other").refusal
@@ -141,7 +141,7 @@ def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, phot
 def test_skipped_photographs_are_shown_beside_what_was_found(metapp: Callable, photo_folder: Path) -> None:
     write_image(Path("table.png"), noise_image(300, 400))
     assert metapp("data", "rectify", *paths(photo_folder), Path("table.png"), "--out", LEAF).code == 0
-    assert sorted(file.name for file in (LEAF / "found").iterdir()) == ["00.png", "01.png", "02.png", "skipped.png"]
+    assert sorted(file.name for file in (LEAF / "found").glob("*.png")) == ["00.png", "01.png", "02.png", "skipped.png"]
 
 
 def test_of_many_photographs_some_are_taken_evenly_with_a_line(metapp: Callable, photo_folder: Path) -> None:

@@ -15,7 +15,7 @@ from metapp.cli.console import print_json
 from metapp.extensions.capture.ball.ball_options import BallOptions
 from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
-from metapp.storage.folders import DIAGNOSTIC_FOLDER, MANIFEST
+from metapp.storage.folders import FOUND_FOLDER, MANIFEST
 
 
 @expand_options(BallOptions)
@@ -60,7 +60,7 @@ def ball_command(
     if not quiet:
         curve_text = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
         say(f"{curve_text}{seen:.0%} of the texels seen, {clipped:.1%} clipped")
-        found = folder / DIAGNOSTIC_FOLDER
+        found = folder / FOUND_FOLDER
         say(f"{folder}: {folder.resolve().name}.exr and a data set; look at what was found: {found}")
     if as_json:
         map_entries = {"chosen": str(paths[captured.reference_index]), "seen": seen, "clipped": clipped}

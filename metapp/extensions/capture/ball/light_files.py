@@ -20,7 +20,7 @@ from metapp.extensions.capture.ball.capture import CapturedLight, capture_light
 from metapp.extensions.capture.hand_photos import write_outlines
 from metapp.learning.task import Task
 from metapp.runs.reporter import progress
-from metapp.storage.folders import DIAGNOSTIC_FOLDER
+from metapp.storage.folders import FOUND_FOLDER
 from metapp.storage.image_writers import write_exr
 from metapp.storage.shards import write_data_set
 
@@ -71,7 +71,7 @@ def _write_light_files(
         "photos": [path.name for path in paths],
         "exposures": captured.exposures.tolist(),
         "power": captured.power,
-        "files": [DIAGNOSTIC_FOLDER, f"{name}.exr"],
+        "files": [FOUND_FOLDER, f"{name}.exr"],
     }
     angles = np.linspace(0, 2 * np.pi, 361)
 
@@ -80,7 +80,7 @@ def _write_light_files(
         for path, ball in zip(paths, captured.balls, strict=True):
             contour = ball.to_px(np.stack([np.cos(angles), np.sin(angles)])).T
             write_outlines(
-                read_pixels(path, options.layer), [(contour, "lime")], folder / DIAGNOSTIC_FOLDER / f"{path.stem}.png"
+                read_pixels(path, options.layer), [(contour, "lime")], folder / FOUND_FOLDER / f"{path.stem}.png"
             )
         write_exr(_level_light(captured.data, options.pitch).permute(1, 2, 0), folder / f"{name}.exr")
 

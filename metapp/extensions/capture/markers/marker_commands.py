@@ -18,7 +18,7 @@ from metapp.extensions.capture.markers.marker_options import RectifyOptions, She
 from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
 from metapp.storage.files import add_suffix
-from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX
+from metapp.storage.folders import FAILED_PICTURE_SUFFIX, FOUND_FOLDER
 
 
 @expand_options(SheetOptions)
@@ -93,7 +93,7 @@ def rectify_command(
         if focal_mm:
             say(f"focal length: {focal_mm:.1f} mm on 35 mm film, found by the {basis}, as EXIF has none")
         side = f"{first.opening_cm:g} cm, {size}" if first.shows_sheet else f"{size}"
-        say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / DIAGNOSTIC_FOLDER}")
+        say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND_FOLDER}")
     if as_json:
         size_entries = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json(

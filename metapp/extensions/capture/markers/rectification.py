@@ -22,7 +22,7 @@ from metapp.extensions.capture.markers.sample import find_sample, measure_agreem
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera
 from metapp.runs.reporter import progress, say
-from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX
+from metapp.storage.folders import FAILED_PICTURE_SUFFIX, FOUND_FOLDER
 
 ONE_VIEW_SIDES = 0.1  # cameras closer to each other than this see the material alike
 # The share of the square in which photographs agree, below which a line says so. Of 22 simulated sets without a raised
@@ -132,7 +132,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     failed_picture.unlink(missing_ok=True)  # the picture of an earlier command
     skipped_names = [name for name in names if name not in [camera.sighting.path for camera in cameras]]
     if skipped_names:
-        _draw_found(found_outlines, skipped_names, "skipped:", folder / DIAGNOSTIC_FOLDER / "skipped.png", quiet=quiet)
+        _draw_found(found_outlines, skipped_names, "skipped:", folder / FOUND_FOLDER / "skipped.png", quiet=quiet)
     return RectifiedPhotos(cameras, lights_cm, size, focal_mm, kept_share, agreement, skipped)
 
 

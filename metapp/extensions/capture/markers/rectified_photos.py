@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.square_photos import SIZE_TEXT
+from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.hand_photos import import_opencv, write_outlines
 from metapp.extensions.capture.markers.features import apply_homography
@@ -42,7 +42,7 @@ from metapp.extensions.capture.markers.sighting import (
     find_sheet,
 )
 from metapp.storage.files import write_atomically
-from metapp.storage.folders import CAMERA_TEXT, DIAGNOSTIC_FOLDER, LIGHT_TEXT
+from metapp.storage.folders import FOUND_FOLDER
 from metapp.storage.image_writers import write_png
 
 MIN_TILT_GAIN_DEGREES = 1.0  # by which a photo must be straighter than the reference to become the reference itself
@@ -237,9 +237,7 @@ def write_rectified_photos(
         picture = torch.from_numpy(rectify_opening(pixels, sighting, size))
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
         outlines = [*((marker, "lime") for marker in sighting.markers), (sighting.corners_px(), "magenta")]
-        write_outlines(
-            pixels, [(points + 0.5, colour) for points, colour in outlines], folder / DIAGNOSTIC_FOLDER / name
-        )
+        write_outlines(pixels, [(points + 0.5, colour) for points, colour in outlines], folder / FOUND_FOLDER / name)
         report_picture(name)
     sizes, places = np.array([cameras[0].sighting.opening_cm]), np.stack([camera.place_cm for camera in cameras])
     for name, rows in ((SIZE_TEXT, sizes), (LIGHT_TEXT, np.stack(lights_cm)), (CAMERA_TEXT, places)):
