@@ -18,6 +18,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from data_tools.readers import material_maps, square_photos
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import SRGB_SPACE
@@ -93,7 +95,7 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
         )
         entry_by_photo[photo] = entry_of_photo(photo, next(containing_folders, None))
     if split != AUTO_SPLIT or {entry.split for entry in entry_by_photo.values()} != set(SPLITS):
-        return {photo: entry._replace(split="") for photo, entry in entry_by_photo.items()}
+        return {photo: replace(entry, split="") for photo, entry in entry_by_photo.items()}
     first_photos: dict[str, Path] = {}
     for photo, entry in entry_by_photo.items():
         first_photo = first_photos.setdefault(entry.group, photo)

@@ -46,7 +46,6 @@ _PLACEHOLDERS = (
         "an HTML page, expected the file itself; download it again, by the link of the file.",
     ),
 )
-_TYPE_NAMES = {int: "a whole number", str: "text", list: "a list", dict: "an object"}  # types of JSON entries, in words
 _PLACEHOLDER_BYTES = 256  # of a file, in which its beginning is looked for after blanks
 
 
@@ -304,30 +303,6 @@ def error_text(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     return str(error) or type(error).__name__
-
-
-def get_json_entry(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
-    """Return an entry of a JSON object, which must be of a type.
-
-    Args:
-        document: the JSON document, which anybody may have written.
-        key: the name of the entry.
-        kind: the type that the entry must have.
-        where: the beginning of the message, which names the file.
-        remedy: the end of the message.
-        absent: the value if there is no such entry; None if there must be one.
-
-    Raises:
-        ValueError: the entry is of another type, or the document is no object.
-
-    >>> get_json_entry({"steps": "3"}, "steps", int, "record.json: ", "fit again")
-    Traceback (most recent call last):
-    ValueError: record.json: 'steps' is "3", expected a whole number; fit again.
-    """
-    value = document.get(key, absent) if isinstance(document, dict) else None
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise ValueError(f"{where}'{key}' is {json.dumps(value)[:60]}, expected {_TYPE_NAMES[kind]}; {remedy}.")
-    return value
 
 
 def to_json_value(value: Any) -> Any:

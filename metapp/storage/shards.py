@@ -13,22 +13,24 @@ import re
 import shutil
 from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
+import msgspec
 import torch
+from msgspec.structs import asdict, replace
 from safetensors import SafetensorError
 from safetensors.torch import save
 
 from metapp.learning.task import Task, TensorSpec, problems_of
 from metapp.storage import Document
 from metapp.storage.files import (
-    get_json_entry,
+    file_name,
     name_file_in_errors,
     open_regular,
     partial_path,
     read_bytes,
     read_tensors,
     remove_partial,
+    to_json_value,
     write_bytes,
 )
 from metapp.storage.folders import MANIFEST as MANIFEST
@@ -39,7 +41,7 @@ SPLITS = ("train", "test")
 AUTO_SPLIT = "auto"  # stands for the split that `split_auto` chooses
 
 
-class ManifestEntry(NamedTuple):
+class ManifestEntry(msgspec.Struct, frozen=True):
     """One task in a manifest, whose file may be still to write.
 
     Attributes:
@@ -59,7 +61,7 @@ class ManifestEntry(NamedTuple):
     group: str = ""
 
 
-class Manifest(NamedTuple):
+class Manifest(msgspec.Struct, frozen=True):
     """The content of a data set.
 
     Attributes:
@@ -75,6 +77,12 @@ class Manifest(NamedTuple):
     units: dict[str, str]
     notes: Document
     schema: int = MANIFEST_SCHEMA
+
+
+class _Schema(msgspec.Struct):
+    """The part of a manifest that is read first: the other parts of newer manifests may differ."""
+
+    schema: int
 
 
 def read_manifest(folder: str | Path) -> Manifest:
@@ -94,11 +102,18 @@ def read_manifest(folder: str | Path) -> Manifest:
             f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
             "interrupted: convert again with `metapp data`."
         )
+    content = read_bytes(path)
     try:
-        document = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
-    return _manifest_from_json(document, path)
+        if (schema := msgspec.json.decode(content, type=_Schema).schema) > MANIFEST_SCHEMA:
+            found = f"schema {schema}, written by a newer metapp"
+            raise ValueError(f"{path}: {found}, expected {MANIFEST_SCHEMA}; update metapp.")
+        manifest = msgspec.json.decode(content, type=Manifest)
+        fault = _fault_of_manifest(manifest)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        fault = f"no manifest, expected that of a data set ({error})"
+    if fault:
+        raise ValueError(f"{path}: {fault}; convert the data again.")
+    return manifest
 
 
 def fingerprint(folder: str | Path) -> str:
@@ -115,44 +130,19 @@ def fingerprint(folder: str | Path) -> str:
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
 
 
-def _manifest_from_json(document: object, path: Path) -> Manifest:
-    """Make a manifest of a JSON document, and check every field, since anybody may have written the file.
-
-    Args:
-        document: the document.
-        path: the file that it was read from, which messages name.
-    """
-
-    def read_field(record: object, key: str, kind: type, where: str = "") -> Any:
-        return get_json_entry(record, key, kind, f"{path}: {where}", "convert the data again")
-
-    schema = read_field(document, "schema", int)
-    if schema != MANIFEST_SCHEMA:
-        found, remedy = f"schema {schema}", "convert the data again"
-        if schema > MANIFEST_SCHEMA:
-            found, remedy = f"schema {schema}, written by a newer metapp", "update metapp"
-        raise ValueError(f"{path}: {found}, expected {MANIFEST_SCHEMA}; {remedy}.")
-    entries: list[ManifestEntry] = []
-    for index, record in enumerate(read_field(document, "tasks", list)):
-        where = f"task {index + 1}: "
-        entry = ManifestEntry(**{key: read_field(record, key, str, where) for key in ManifestEntry._fields})
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SHARD_SUFFIX):
-            raise ValueError(
-                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD_SUFFIX} file in "
-                "the same folder; convert the data again."
-            )
+def _fault_of_manifest(manifest: Manifest) -> str:
+    """Return what is wrong with a manifest that anybody may have written, and what was expected; "" for nothing."""
+    if manifest.schema != MANIFEST_SCHEMA:
+        return f"schema {manifest.schema}, expected {MANIFEST_SCHEMA}"
+    for entry in manifest.tasks:
+        if entry.file != f"{file_name(entry.file.removesuffix(SHARD_SUFFIX))}{SHARD_SUFFIX}":
+            return f"file {entry.file!a:.200}, expected the plain name of a {SHARD_SUFFIX} file in the same folder"
         if entry.split not in SPLITS:
-            raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
-        entries.append(entry)
+            return f"split {entry.split!a:.200}, expected 'train' or 'test'"
     for key in ("name", "file"):
-        values = [getattr(entry, key) for entry in entries]
-        if len(set(values)) < len(values):
-            raise ValueError(f"{path}: two tasks have the same {key}, expected them to differ; convert the data again.")
-    units = read_field(document, "units", dict)
-    for key in units:
-        read_field(units, key, str, "units: ")
-    app, notes = read_field(document, "app", str), read_field(document, "notes", dict)
-    return Manifest(app, tuple(entries), units, notes, schema)
+        if len({getattr(entry, key) for entry in manifest.tasks}) < len(manifest.tasks):
+            return f"two tasks have the same {key}, expected them to differ"
+    return ""
 
 
 def split_auto(names: Iterable[str]) -> dict[str, str]:
@@ -253,7 +243,7 @@ def write_data_set(
             raise ValueError(f"{folder}: 0 tasks to write, expected at least one.")
         split_by_name = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO_SPLIT))
         entries = [
-            entry._replace(split=split_by_name[entry.group or entry.name]) if entry.split == AUTO_SPLIT else entry
+            replace(entry, split=split_by_name[entry.group or entry.name]) if entry.split == AUTO_SPLIT else entry
             for entry in entries
         ]
         tensor_units = {key: unit for key, unit in units.items() if key in tensor_names}
@@ -336,15 +326,14 @@ def _publish(
         replaced: the manifest of the data set that is replaced; None if there is none.
         beside: the name of a tensor and the suffix of the texts beside tasks; None if there are no texts.
     """
-    document = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
     (folder / MANIFEST).unlink(missing_ok=True)
     for entry in replaced.tasks if replaced else ():
         for suffix in (SHARD_SUFFIX, beside[1] if beside else SHARD_SUFFIX):
             (folder / entry.file).with_suffix(suffix).unlink(missing_ok=True)
     for file in sorted(partial.iterdir()):
         os.replace(file, folder / file.name)
-    # ASCII, since a file name may have bytes that are no text, which Python passes on as lone surrogates
-    write_bytes(folder / MANIFEST, json.dumps(document, indent=1, allow_nan=False).encode("ascii") + b"\n")
+    document = to_json_value({**asdict(manifest), "tasks": [asdict(entry) for entry in manifest.tasks]})
+    write_bytes(folder / MANIFEST, json.dumps(document, indent=1).encode() + b"\n")
 
 
 def read_data_set(
@@ -436,11 +425,10 @@ def _shard_name(name: str, used_names: Collection[str]) -> str:
         name: the name of the task.
         used_names: names of files in lower case, from which it must differ even where case does not count.
     """
-    stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
-    file, count = stem + SHARD_SUFFIX, 1
+    file, count = f"{file_name(name)}{SHARD_SUFFIX}", 1
     while file.lower() in used_names:
         count += 1
-        file = f"{stem}-{count}{SHARD_SUFFIX}"
+        file = f"{file_name(f'{name}-{count}')}{SHARD_SUFFIX}"
     return file
 
 

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from data_tools.readers.input_source import Source, Sources
 from metapp.learning.task import Task
 from metapp.registry import registry
@@ -153,7 +155,7 @@ def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> di
         parent = Path(os.path.abspath(source.parent))
         for folder in (parent, *parent.parents):
             if folder.name in SPLITS and all((folder.parent / name).is_dir() for name in SPLITS):
-                entries[source] = entries[source]._replace(split=folder.name)
+                entries[source] = replace(entries[source], split=folder.name)
                 break
     if any(entry.split for entry in entries.values()):
         say("train/ and test/ keep their tasks apart; --split puts them together.")
