@@ -398,11 +398,14 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
     monkeypatch.setattr(FieldMaps, "make_maps", lambda decoder, theta, photo: unpack_maps(half))
-    whole = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.field_judge.STEEPNESS_WEIGHT", 0.0)
-    without_steep = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.field_judge.BLOTS_WEIGHT", 0.0)
-    neither = app.outer_loss(exact, batch, {})
+    whole, without_steep, neither = (
+        replace(app, judge=judge).outer_loss(exact, batch, {})
+        for judge in (
+            FieldJudge(),
+            FieldJudge(steepness_weight=0.0),
+            FieldJudge(steepness_weight=0.0, blots_weight=0.0),
+        )
+    )
     assert (whole - without_steep).min() > 0.5 * STEEPNESS_WEIGHT  # the log of some three to ten times
     shades = [(maps[:, 3:6] + 1e-3) ** (1 / 2.2) for maps in (half, batch["maps"])]
     apart = (shades[0] - shades[1]).abs()[..., :4].mean((1, 2, 3))

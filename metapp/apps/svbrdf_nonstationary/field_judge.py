@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
@@ -20,8 +21,16 @@ BLOTS_WEIGHT = 0.3  # weight in the outer loss of diffuse colours where the phot
 STEEPNESS_CELLS = 8  # cells a side, in each of which the mean steepness of normals counts
 
 
+@dataclass(frozen=True)
 class FieldJudge(MapJudge):
-    """The judge of maps that a field makes, whatever its fits see."""
+    """The judge of maps that a field makes, whatever its fits see.
+
+    Attributes:
+        steepness_weight, blots_weight: weights of terms of the outer loss, beside 1 for pictures under lights.
+    """
+
+    steepness_weight: float = STEEPNESS_WEIGHT
+    blots_weight: float = BLOTS_WEIGHT
 
     @override
     def outer_loss(self, answer: PhotographedMaps, seen: Any, truth: LitMaps) -> Tensor:
@@ -38,8 +47,8 @@ class FieldJudge(MapJudge):
         differences = map_differences(maps, target)
         # roughness and normals count twice, as photos say less of them
         map_loss = compare_maps(differences, {}) + compare_maps((differences.roughness, differences.normal), {})
-        loss = pictures + MAPS_WEIGHT * map_loss + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steepness_difference
-        return loss + BLOTS_WEIGHT * blots(differences.diffuse, seen.photo)
+        loss = pictures + MAPS_WEIGHT * map_loss + PHOTO_WEIGHT * photo + self.steepness_weight * steepness_difference
+        return loss + self.blots_weight * blots(differences.diffuse, seen.photo)
 
 
 def _steepness(maps: Maps) -> Tensor:

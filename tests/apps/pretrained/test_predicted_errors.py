@@ -1,13 +1,18 @@
 """The error that General predicts for its maps: its likelihood is greatest at the true scale."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Generator
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS
-from metapp.apps.svbrdf_nonstationary.pretrained import feature_judge
-from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import laplace_scales, negative_log_likelihood
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import (
+    FeatureJudge,
+    laplace_scales,
+    negative_log_likelihood,
+)
 from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import PARTS
 from metapp.learning.task import Tasks
 
@@ -31,16 +36,13 @@ def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generat
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
-def test_the_likelihood_moves_the_predicted_error_alone(
-    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_likelihood_moves_the_predicted_error_alone(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
     windows = app.augment(tasks, rng)
     start = app.encode(app.init_encoder(rng), app.encoder_input(windows, rng))
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
     batch, grads = app.outer_sample(windows, rng, 1), []
-    for weight in (feature_judge.LIKELIHOOD_WEIGHT, 0.0):
-        monkeypatch.setattr(feature_judge, "LIKELIHOOD_WEIGHT", weight)
-        loss = app.outer_loss(theta, batch, {}).sum()
+    for judge in (FeatureJudge(), FeatureJudge(likelihood_weight=0.0)):
+        loss = replace(app, judge=judge).outer_loss(theta, batch, {}).sum()
         grads.append(torch.autograd.grad(loss, list(theta.values()), materialize_grads=True))
     for key, grad, other in zip(theta, *grads, strict=True):
         assert torch.equal(grad, other) == (key != "deviation"), key

@@ -1,10 +1,8 @@
 """Curls of slopes against closed forms, and the equations that couple slopes against dense ones."""
 
-import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.several import integrability
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 
 ROWS, COLUMNS = 5, 6
@@ -14,11 +12,11 @@ def draw(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(*shape, generator=Generator().manual_seed(seed), dtype=torch.float64)
 
 
-def draw_equations() -> tuple[Tensor, Tensor, Tensor]:
+def draw_equations(rows: int = ROWS, columns: int = COLUMNS) -> tuple[Tensor, Tensor, Tensor]:
     """Positive definite matrices of two tasks, weights of curls and a right side."""
-    factor = draw(2, 2, 2, ROWS, COLUMNS, seed=1)
+    factor = draw(2, 2, 2, rows, columns, seed=1)
     precision = torch.einsum("tikhw,tjkhw->tijhw", factor, factor) + 0.1 * torch.eye(2)[:, :, None, None].double()
-    return precision, draw(2, ROWS - 1, COLUMNS - 1, seed=2).square(), draw(2, 2, ROWS, COLUMNS, seed=3)
+    return precision, draw(2, rows - 1, columns - 1, seed=2).square(), draw(2, 2, rows, columns, seed=3)
 
 
 def test_slopes_of_a_smooth_height_have_no_curl_and_those_of_a_whirl_have() -> None:
@@ -50,12 +48,11 @@ def test_curls_become_small_as_their_weight_grows() -> None:
     assert float(bound.abs().mean()) < 0.05 * float(free.abs().mean())
 
 
-def test_derivatives_of_solved_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(integrability, "RELATIVE_RESIDUAL", 1e-12)
-    monkeypatch.setattr(integrability, "MAX_ITERATIONS", 200)
-    inputs = [value.requires_grad_() for value in draw_equations()]
+def test_derivatives_of_solved_slopes() -> None:
+    inputs = [value.requires_grad_() for value in draw_equations(3, 4)]
 
     def symmetric(precision: Tensor, weight: Tensor, right_side: Tensor) -> Tensor:
-        return solve_slopes((precision + precision.transpose(1, 2)) / 2, weight, right_side)
+        precision = (precision + precision.transpose(1, 2)) / 2
+        return solve_slopes(precision, weight, right_side, relative_residual=1e-12, max_iterations=200)
 
     assert torch.autograd.gradcheck(symmetric, inputs)

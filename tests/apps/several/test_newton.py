@@ -1,6 +1,7 @@
 """Gauss-Newton steps of several photographs against dense least squares, and derivatives through them."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
-from metapp.apps.svbrdf_nonstationary.several import integrability, newton
+from metapp.apps.svbrdf_nonstationary.several import newton
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
 from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
@@ -22,19 +23,14 @@ from metapp.learning.task import Batch, Params
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
+# steps of flashes are solved from all texels of maps this small, and slopes up to rounding
+EXACT: dict[str, Any] = {"flash_stride": 1, "relative_residual": 1e-12}
 SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "curl": 0.05, "noise": 10.0}
 
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
     return of_several(SIDE, SIDE)
-
-
-@pytest.fixture(autouse=True)
-def exact_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps of flashes are solved from all texels of maps this small, and slopes up to rounding."""
-    monkeypatch.setattr(newton, "FLASH_STRIDE", 1)
-    monkeypatch.setattr(integrability, "RELATIVE_RESIDUAL", 1e-12)
 
 
 def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
@@ -61,7 +57,7 @@ def settings(values: dict[str, float] = SETTINGS) -> Params:
 
 def test_changes_are_those_of_dense_least_squares() -> None:
     theta, batch, _ = problem()
-    found = newton.gauss_newton_change(theta, batch, settings(), max_texel_change=sum(CHANNELS) * (1e6,))
+    found = newton.gauss_newton_change(theta, batch, settings(), max_texel_change=sum(CHANNELS) * (1e6,), **EXACT)
 
     texels, flashes = slice(0, -FLASH_NUMBERS * COUNT - 1), slice(-FLASH_NUMBERS * COUNT - 1, -1)
 
@@ -113,7 +109,7 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
 
     first = worst(theta)
     for _ in range(8):
-        change = newton.gauss_newton_change(theta, batch, weak)
+        change = newton.gauss_newton_change(theta, batch, weak, **EXACT)
         theta = theta | {key: theta[key] - value for key, value in change.items()}
     assert worst(theta) < 0.01 * first
     assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03
@@ -141,14 +137,14 @@ def test_fall_off_of_flashes_is_found(true_falloff: float) -> None:
     batch["photos"] = render_photos(decode_maps(true), flashes)
     weak = settings(SETTINGS | {"prior": 1e-9})
     for _ in range(12):
-        change = newton.gauss_newton_change(theta, batch, weak)
+        change = newton.gauss_newton_change(theta, batch, weak, **EXACT)
         theta = theta | {key: theta[key] - value for key, value in change.items()}
     assert float(theta["falloff"]) == pytest.approx(true_falloff, abs=0.15)
 
 
 def test_derivatives_through_steps_are_those_of_finite_differences(app: SvbrdfNonstationary) -> None:
     theta, batch, true = problem()
-    loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.sight.settings)
+    loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.sight.settings, **EXACT)
     rule = rule_of("gauss-newton")
     alpha = {
         key: value[:, None].double() for key, value in rule.initial_alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,12 +20,19 @@ from metapp.apps.svbrdf_nonstationary.photo_sight import compare_photos
 from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import UncertainMaps
 
 PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # weights of the differences of maps, in the order of PARTS
-LIKELIHOOD_WEIGHT = 0.03  # weight in the outer loss of the likelihood of predicted errors, which moves these alone
+LIKELIHOOD_WEIGHT = 0.03
 MIN_DEVIATION = 0.01  # the least predicted error of maps
 
 
+@dataclass(frozen=True)
 class FeatureJudge(MapJudge):
-    """The judge of maps of one photograph by two fields."""
+    """The judge of maps of one photograph by two fields.
+
+    Attributes:
+        likelihood_weight: weight in the outer loss of the likelihood of predicted errors, which moves these alone.
+    """
+
+    likelihood_weight: float = LIKELIHOOD_WEIGHT
 
     @override
     def outer_loss(self, answer: UncertainMaps, seen: Any, truth: LitMaps) -> Tensor:
@@ -51,7 +59,7 @@ class FeatureJudge(MapJudge):
         photo_loss = compare_photos(render_photo(shown_maps, answer.flash, positions), seen.photo, {})
         loss = map_weights[:, 3] * (pictures + PHOTO_WEIGHT * photo_loss)
         likelihood = negative_log_likelihood(differences, answer.deviation) * map_weights.amin(1)
-        return loss + MAPS_WEIGHT * map_loss + BLOTS_WEIGHT * blot_loss + LIKELIHOOD_WEIGHT * likelihood
+        return loss + MAPS_WEIGHT * map_loss + BLOTS_WEIGHT * blot_loss + self.likelihood_weight * likelihood
 
 
 def laplace_scales(deviation: Tensor) -> Tensor:

@@ -27,7 +27,16 @@ MAX_RADIANCE = 1.5  # 1 is white
 MAX_PARALLAX_HALF_SIDES = 0.06  # larger displacements would not be registered
 
 
-def handle_photos(radiance: Tensor, maps: Maps, eyes: Tensor, rng: Generator) -> Tensor:
+def handle_photos(
+    radiance: Tensor,
+    maps: Maps,
+    eyes: Tensor,
+    rng: Generator,
+    *,
+    max_registration_error: float = MAX_REGISTRATION_ERROR,
+    max_ambient_share: float = MAX_AMBIENT_SHARE,
+    max_vignetting: float = MAX_VIGNETTING,
+) -> Tensor:
     """Return photographs as a phone that is held by hand takes them, before they are developed.
 
     Displacements are relative to the first photograph, on which maps and the other photographs are registered.
@@ -37,13 +46,16 @@ def handle_photos(radiance: Tensor, maps: Maps, eyes: Tensor, rng: Generator) ->
         maps: the maps of the materials, [T, C, S, S].
         eyes: positions of the camera, [T, N, 3], in half sides of the patch.
         rng: draws all random numbers.
+        max_registration_error: largest standard deviation of the displacement at the corners, in half sides.
+        max_ambient_share: largest light of the room, over the light of the flash right below it.
+        max_vignetting: largest share of the light that is lost a half side from the middle.
     """
     uniform, normal = draws_per_material(len(radiance), rng)
     count, texels = radiance.shape[1], texel_positions(*radiance.shape[-2:], dtype=radiance.dtype, device=rng.device)
     tint = torch.stack([radiance.new_tensor(colour) for colour in AMBIENT_COLOURS])[(uniform() < 0.5).long()]
-    ambient = MAX_AMBIENT_SHARE * uniform(1, 1, 1) * tint[:, :, None, None]
+    ambient = max_ambient_share * uniform(1, 1, 1) * tint[:, :, None, None]
     lit = radiance + (ambient * (maps.diffuse * (1 - maps.specular) + maps.specular))[:, None]
-    lit = lit * (1 - MAX_VIGNETTING * uniform(1, 1, 1, 1) * texels.square().sum(0))
+    lit = lit * (1 - max_vignetting * uniform(1, 1, 1, 1) * texels.square().sum(0))
     lit = lit.clamp_max(MAX_RADIANCE)  # cubic interpolation beside a bright highlight would be black
 
     height = 2 / radiance.shape[-1] * height_from_normal(maps.normal, periodic=False)
@@ -51,7 +63,7 @@ def handle_photos(radiance: Tensor, maps: Maps, eyes: Tensor, rng: Generator) ->
     shift, linear, projective = normal(count, 2, 1, 1), normal(count, 2, 2), normal(count, 2)
     error = shift + torch.einsum("tnij,jhw->tnihw", linear, texels)
     error = (error + texels * torch.einsum("tni,ihw->tnhw", projective, texels)[:, :, None]) / 3
-    error = MAX_REGISTRATION_ERROR * uniform(1, 1, 1, 1) * error
+    error = max_registration_error * uniform(1, 1, 1, 1) * error
     displacement = parallax.clamp(-MAX_PARALLAX_HALF_SIDES, MAX_PARALLAX_HALF_SIDES) + error
     moved = read_displaced(lit.flatten(0, 1), (displacement[:, :1] - displacement).flatten(0, 1), "reflection")
     handled: Tensor = moved.clamp_min(0).unflatten(0, lit.shape[:2])

@@ -50,39 +50,60 @@ class _SolveSlopes(torch.autograd.Function):
 
     @staticmethod
     @override
-    def forward(ctx: Any, precision: Tensor, curl_weight: Tensor, right_side: Tensor) -> Tensor:
-        solution = _conjugate_gradients(precision, curl_weight, right_side)
+    def forward(
+        ctx: Any,
+        precision: Tensor,
+        curl_weight: Tensor,
+        right_side: Tensor,
+        relative_residual: float,
+        max_iterations: int,
+    ) -> Tensor:
+        solution = _conjugate_gradients(precision, curl_weight, right_side, relative_residual, max_iterations)
         ctx.save_for_backward(precision, curl_weight, solution)
+        ctx.relative_residual, ctx.max_iterations = relative_residual, max_iterations
         return solution
 
     @staticmethod
     @once_differentiable
     @override
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor, None, None]:
         precision, curl_weight, solution = ctx.saved_tensors
-        adjoint = _conjugate_gradients(precision, curl_weight, gradients[0])
+        adjoint = _conjugate_gradients(precision, curl_weight, gradients[0], ctx.relative_residual, ctx.max_iterations)
         by_precision = -adjoint[:, :, None] * solution[:, None]
         by_weight = -find_curl(adjoint) * find_curl(solution)
-        return by_precision, by_weight, adjoint
+        return by_precision, by_weight, adjoint, None, None
 
 
-def solve_slopes(precision: Tensor, curl_weight: Tensor, right_side: Tensor) -> Tensor:
+def solve_slopes(
+    precision: Tensor,
+    curl_weight: Tensor,
+    right_side: Tensor,
+    *,
+    relative_residual: float = RELATIVE_RESIDUAL,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Tensor:
     """Solve linear equations for the slopes of all texels, which their curls couple.
 
     Args:
         precision: symmetric positive definite matrices of the texels, [T, 2, 2, H, W].
         curl_weight: weights of squared curls, [T, H - 1, W - 1].
         right_side: of the equations, [T, 2, H, W].
+        relative_residual: the length of the residual, over that of the right side, at which iterations end.
+        max_iterations: the number of iterations of conjugate gradients, at most.
 
     Returns:
         The slopes s [T, 2, H, W] with precision s + K' (curl_weight K s) = right_side, where K is :func:`find_curl` and
-        K' its transpose. Conjugate gradients find them up to RELATIVE_RESIDUAL.
+        K' its transpose.
     """
-    slopes: Tensor = _SolveSlopes.apply(precision, curl_weight, right_side)  # type: ignore[no-untyped-call]
+    slopes: Tensor = _SolveSlopes.apply(  # type: ignore[no-untyped-call]
+        precision, curl_weight, right_side, relative_residual, max_iterations
+    )
     return slopes
 
 
-def _conjugate_gradients(precision: Tensor, curl_weight: Tensor, right_side: Tensor) -> Tensor:
+def _conjugate_gradients(
+    precision: Tensor, curl_weight: Tensor, right_side: Tensor, relative_residual: float, max_iterations: int
+) -> Tensor:
     """Solve the equations of :func:`solve_slopes` by conjugate gradients, preconditioned by each texel's own block."""
     corners = pad(curl_weight, (1, 1, 1, 1))
     own_curl_weight = (corners[:, :-1, :-1] + corners[:, :-1, 1:] + corners[:, 1:, :-1] + corners[:, 1:, 1:]) / 4
@@ -103,10 +124,10 @@ def _conjugate_gradients(precision: Tensor, curl_weight: Tensor, right_side: Ten
     solution = precondition(right_side)
     residual = right_side - multiply(solution)
     tiny = torch.finfo(right_side.dtype).tiny
-    bound = RELATIVE_RESIDUAL**2 * dot(right_side, right_side) + tiny
+    bound = relative_residual**2 * dot(right_side, right_side) + tiny
     direction = preconditioned = precondition(residual)
     product = dot(residual, preconditioned)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(max_iterations):
         if bool((dot(residual, residual) <= bound).all()):
             break
         image = multiply(direction)

@@ -22,7 +22,12 @@ from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
 from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
-from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
+from metapp.apps.svbrdf_nonstationary.several.integrability import (
+    RELATIVE_RESIDUAL,
+    find_curl,
+    find_slopes_of_curl,
+    solve_slopes,
+)
 from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, PhotoSetSight
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -60,9 +65,12 @@ class GaussNewton(Loss):
         settings: a function that returns all loss parameters [T, ...]: those that a rule has learned, its first
             argument, or initial values if that is {}. Its second argument is a tensor [T, ...] of the fits; see
             :meth:`PhotoSetSight.settings`.
+        flash_stride, relative_residual: see :func:`gauss_newton_change`.
     """
 
     settings: Callable[[Params, Tensor], Params] = field(kw_only=True)
+    flash_stride: int = field(default=FLASH_STRIDE, kw_only=True)
+    relative_residual: float = field(default=RELATIVE_RESIDUAL, kw_only=True)
 
     @override
     def gradient(
@@ -70,7 +78,13 @@ class GaussNewton(Loss):
     ) -> tuple[Params, Tensor]:
         """Return the Gauss-Newton step of the parameters in place of a gradient, and the loss of each task, [T]."""
         with torch.set_grad_enabled(graph):
-            change = gauss_newton_change(theta, batch, self.settings(loss_parameters, theta["maps"]))
+            change = gauss_newton_change(
+                theta,
+                batch,
+                self.settings(loss_parameters, theta["maps"]),
+                flash_stride=self.flash_stride,
+                relative_residual=self.relative_residual,
+            )
         with torch.no_grad():
             losses = self.value(theta, batch, loss_parameters)
         return change, losses
@@ -117,12 +131,18 @@ def _find_sight(app: App) -> PhotoSetSight | None:
 
 
 def gauss_newton_change(
-    theta: Params, batch: Batch, settings: Params, *, max_texel_change: Sequence[float] = MAX_CHANGE
+    theta: Params,
+    batch: Batch,
+    settings: Params,
+    *,
+    max_texel_change: Sequence[float] = MAX_CHANGE,
+    flash_stride: int = FLASH_STRIDE,
+    relative_residual: float = RELATIVE_RESIDUAL,
 ) -> Params:
     """Return the Gauss-Newton step of `maps`, `flash` and `falloff`, which is to be subtracted.
 
-    The step of the flashes and their fall-off is solved first, from the texels of every FLASH_STRIDE-th row and column;
-    then the step of the texels, under the flashes after their step. Texels depend on each other through the curl of
+    The step of the flashes and their fall-off is solved first, from the texels of some rows and columns alone; then the
+    step of the texels, under the flashes after their step. Texels depend on each other through the curl of
     their slopes alone.
 
     The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
@@ -139,13 +159,15 @@ def gauss_newton_change(
             `noise` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
+        flash_stride: flashes are solved from the texels of every so many rows and columns, from its half on.
+        relative_residual: how exactly the slopes of texels are solved, see :func:`solve_slopes`.
     """
     maps, flash, falloff, prior = (theta[key] for key in ("maps", "flash", "falloff", "prior"))
     settings, photos = _expect_noise(theta, batch, settings), batch["photos"]
     photos = torch.where(batch["shows_material"] > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
-        picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
+        picture[..., flash_stride // 2 :: flash_stride, flash_stride // 2 :: flash_stride]
         for picture in (maps, photos, prior, texels)
     )
     flash_change, falloff_change = _solve_flashes(
@@ -161,7 +183,7 @@ def gauss_newton_change(
     jacobian, weight, residual = _linearise(maps, moved_flashes, photos, batch["places"], texels, settings)
     settings = _weigh_by_noise(weight, residual, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
-    change = _solve_texels(matrix, right_side, maps, settings)
+    change = _solve_texels(matrix, right_side, maps, settings, relative_residual)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
     return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change, "falloff": falloff_change}
 
@@ -404,7 +426,9 @@ def _solve_flashes(
     return change[:, :-1].reshape(-1, count, FLASH_NUMBERS).mT, change[:, -1:]
 
 
-def _solve_texels(matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Params) -> Tensor:
+def _solve_texels(
+    matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Params, relative_residual: float
+) -> Tensor:
     """Return the Gauss-Newton step of the texels, [T, 9, H, W], which makes the curl of their slopes small, too.
 
     All numbers of a texel but its slopes are eliminated first, then solved from the step of the slopes.
@@ -414,6 +438,7 @@ def _solve_texels(matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Pa
         right_side: their right side, [T, P, 9].
         maps: the unbounded numbers of the texels, [T, 9, H, W].
         settings: all loss parameters, [T, ...].
+        relative_residual: see :func:`solve_slopes`.
     """
     slope_count = CHANNELS[0]
     curl = find_curl(maps[:, :slope_count])
@@ -428,7 +453,8 @@ def _solve_texels(matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Pa
     precision, slope_side = (
         values.unflatten(1, maps.shape[-2:]).movedim((1, 2), (-2, -1)) for values in (precision, slope_side)
     )
-    slope_change = solve_slopes(precision, curl_weight, slope_side + find_slopes_of_curl(curl_weight * curl))
+    slope_side = slope_side + find_slopes_of_curl(curl_weight * curl)
+    slope_change = solve_slopes(precision, curl_weight, slope_side, relative_residual=relative_residual)
     other_change = of_right_side - (of_coupling @ slope_change.flatten(2).mT[..., None])[..., 0]
     return torch.cat([slope_change, other_change.mT.unflatten(2, maps.shape[-2:])], 1)
 
