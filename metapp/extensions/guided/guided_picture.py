@@ -25,7 +25,7 @@ from metapp.rendering.jit import dr, mi
 MIN_SPP_FOR_PARTS = 4  # with fewer samples a pixel a picture has one part
 FIRST_GUIDED_PATHS = 2**18  # paths of the first guided part, but at most a quarter of the picture's
 MAX_LEARNING_PATHS = 2**21  # paths after which the cache has learned enough
-MAX_GUIDED_ERROR_RATIO = 1.0  # error of a guided part over the error of `path` in the same time, at most
+MAX_GUIDED_ERROR_RATIO = 1.0
 REGULAR_PART_WEIGHT = 0.3  # weight of samples of the regular part over samples of guided ones, where guiding helps
 GUIDED_BOUNCE_COST_RATIO = 1.25  # time of a guided bounce over the time of a bounce of `path`
 MIN_NOISE_BLOCK_SAMPLES = 128  # samples of a block of pixels in which noise is compared
@@ -99,16 +99,18 @@ class PartCost(NamedTuple):
             float((np.abs(2 * first_half_sums - sums)[sums > 0] / sums[sums > 0]).mean()) if (sums > 0).any() else 0.0
         )
 
-    def reduces_error(self, regular: PartCost) -> bool:
+    def reduces_error(self, regular: PartCost, max_ratio: float = MAX_GUIDED_ERROR_RATIO) -> bool:
         """Return True if this guided part has less error than a regular one in the same time.
 
         Errors fall with the root of time.
+
+        Args:
+            regular: the regular part.
+            max_ratio: the error of this part over the error of the regular one, at most.
         """
         samples = min(self.luminance.shape[2], regular.luminance.shape[2])
         time_ratio = GUIDED_BOUNCE_COST_RATIO * self.bounces / regular.bounces
-        return self.relative_noise(samples) * math.sqrt(time_ratio) <= MAX_GUIDED_ERROR_RATIO * regular.relative_noise(
-            samples
-        )
+        return self.relative_noise(samples) * math.sqrt(time_ratio) <= max_ratio * regular.relative_noise(samples)
 
 
 class GuidedPicture:
@@ -119,6 +121,8 @@ class GuidedPicture:
         tracer: the tracer of paths that are guided or learned from.
         scene, sensor, seed: the arguments of an integrator's `render`.
         prior: the parameters of the network that is the cache's prior; None for the voxels around.
+        max_error_ratio: the error of a guided part over the error of `path` in the same time, at most; where a part
+            has more, the rest of the picture is regular.
 
     Attributes:
         regular_block: the image of the regular part; None before it is rendered.
@@ -138,13 +142,14 @@ class GuidedPicture:
         sensor: mt.Sensor,
         seed: mt.UInt32 | int,
         prior: Params | None = None,
+        max_error_ratio: float = MAX_GUIDED_ERROR_RATIO,
     ) -> None:
         start = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.regular_block: mt.ImageBlock = None  # the image of the regular part
         self.block: mt.ImageBlock = None
         self.wave_count = 0
-        self.guiding_helps = True
+        self.guiding_helps, self.max_error_ratio = True, max_error_ratio
         self.regular_cost: PartCost | None = None
         self.cache = GuideCache(*_find_extent(scene, sensor))
         if prior is not None:
@@ -184,7 +189,7 @@ class GuidedPicture:
         rendering_end = time.process_time()
         if costs[0] is not None:
             if guided and self.regular_cost is not None:
-                self.guiding_helps = costs[0].reduces_error(self.regular_cost)
+                self.guiding_helps = costs[0].reduces_error(self.regular_cost, self.max_error_ratio)
             else:
                 self.regular_cost, self.regular_block, self.block = costs[0], self.block, None
             self.cache.update_histograms()

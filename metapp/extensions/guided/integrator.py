@@ -13,7 +13,12 @@ import math
 import warnings
 from typing import NoReturn
 
-from metapp.extensions.guided.guided_picture import MIN_SPP_FOR_PARTS, GuidedPicture, sampled_film_size
+from metapp.extensions.guided.guided_picture import (
+    MAX_GUIDED_ERROR_RATIO,
+    MIN_SPP_FOR_PARTS,
+    GuidedPicture,
+    sampled_film_size,
+)
 from metapp.extensions.guided.path_tracer import PathTracer
 from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
@@ -38,7 +43,13 @@ def guided_path_class() -> mt.PluginClass:
     """Return the class of the plugin in the active variant."""
 
     class GuidedPath(mi.SamplingIntegrator):  # type: ignore[misc]  # the base class depends on the variant
-        """The plugin; its properties are, by default, `max_depth` -1, `rr_depth` 5, `hide_emitters` false."""
+        """The plugin; its properties are, by default, `max_depth` -1, `rr_depth` 5, `hide_emitters` false.
+
+        Attributes:
+            min_learning_paths: the fewest paths of a picture that is guided; a program may set it before it renders.
+            min_surveyed_paths: the fewest paths of a picture that begins with a survey.
+            max_error_ratio: see :class:`GuidedPicture`.
+        """
 
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
@@ -47,6 +58,8 @@ def guided_path_class() -> mt.PluginClass:
             }
             self.path = mi.load_dict({"type": "path", **given_properties})  # it refuses values that are out of range
             depth, rr_depth = int(props.get("max_depth", -1)), int(props.get("rr_depth", 5))  # defaults of `path`
+            self.min_learning_paths, self.min_surveyed_paths = MIN_LEARNING_PATHS, MIN_SURVEYED_PATHS
+            self.max_error_ratio = MAX_GUIDED_ERROR_RATIO
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts, by name
             self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth)
 
@@ -63,15 +76,15 @@ def guided_path_class() -> mt.PluginClass:
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
             paths = spp * math.prod(sampled_film_size(film))
             with torch_defaults(single=False):  # the prior is read by torch, whose defaults a program may have set
-                prior = read_prior() if paths >= MIN_SURVEYED_PATHS else None
+                prior = read_prior() if paths >= self.min_surveyed_paths else None
             # a picture of one part learns from the survey alone
-            min_paths = MIN_LEARNING_PATHS if spp >= MIN_SPP_FOR_PARTS else MIN_SURVEYED_PATHS
+            min_paths = self.min_learning_paths if spp >= MIN_SPP_FOR_PARTS else self.min_surveyed_paths
             reason = _find_obstacle(self.tracer, scene, paths, min_paths, hides_emitters=self.hide_emitters)
             if reason:
                 _warn(reason)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad(), torch_defaults(single=False):
-                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior)
+                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior, self.max_error_ratio)
                 picture.render(spp)
                 self.spent = picture.spent
                 if not picture.guiding_helps:

@@ -20,21 +20,25 @@ LAMPS = ("light", "sky", "bulb")
 
 
 @pytest.fixture(autouse=True)
-def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """The module, for small pictures: guided from few paths on, unless it is about the guard whatever the noise.
-
-    Every reason may be warned of once a test; none is unless a test expects it.
-    """
-    from metapp.extensions.guided import guided_picture, integrator
+def _warnings_are_errors(mi: Any) -> Iterator[None]:
+    """Every reason may be warned of once a test; none is unless a test expects it."""
+    from metapp.extensions.guided import integrator
 
     integrator._WARNED.clear()
-    monkeypatch.setattr(integrator, "MIN_LEARNING_PATHS", 2**10)
-    monkeypatch.setattr(integrator, "MIN_SURVEYED_PATHS", 2**11)
-    if "guard" not in request.node.name:
-        monkeypatch.setattr(guided_picture, "MAX_GUIDED_ERROR_RATIO", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        yield integrator
+        yield
+
+
+def ease(integrator: Any, max_error_ratio: float = math.inf) -> Any:
+    """Have small pictures guided, too: from few paths on, and whatever their noise."""
+    integrator.min_learning_paths, integrator.min_surveyed_paths = 2**10, 2**11
+    integrator.max_error_ratio = max_error_ratio
+    return integrator
+
+
+def load_guided(mi: Any, max_depth: int = 5, max_error_ratio: float = math.inf, **more: Any) -> Any:
+    return ease(mi.load_dict({"type": "metapp_guided_path", "max_depth": max_depth, **more}), max_error_ratio)
 
 
 def load_scene_with_film(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
@@ -69,7 +73,9 @@ def zoo() -> dict[str, Any]:
 
 def pictures(mi: Any, scene: Any, kind: str, spp: int = SPP, **more: Any) -> np.ndarray[Any, Any]:
     """Several pictures, [runs, rows, columns, 3], in double precision."""
-    integrator = mi.load_dict({"type": kind, "max_depth": 5, **more})
+    integrator = (
+        load_guided(mi, **more) if kind == "metapp_guided_path" else mi.load_dict({"type": kind, "max_depth": 5})
+    )
     first = 100 if kind == "path" else 0
     result = [mi.render(scene, integrator=integrator, spp=spp, seed=first + seed) for seed in range(RUNS)]
     return np.stack([np.array(rendering, np.float64)[..., :3] for rendering in result])
@@ -105,7 +111,7 @@ def test_guided_pictures_have_less_noise_than_path(mi: Any, monkeypatch: pytest.
     from metapp.extensions.guided.guide_cache import GuideCache
 
     scene, noise = load_scene_with_film(mi, random_scene(101), 64), []
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
+    integrator = load_guided(mi)
     for learns in (True, False):
         if not learns:
             monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: 0)
@@ -117,7 +123,7 @@ def test_guided_pictures_have_less_noise_than_path(mi: Any, monkeypatch: pytest.
 @pytest.mark.long
 def test_pictures_depend_on_the_seed_alone(mi: Any) -> None:
     scene = load_scene_with_film(mi, random_scene(1))
-    guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
+    guided = load_guided(mi, 4)
     first, again, other = (np.array(mi.render(scene, integrator=guided, spp=32, seed=seed)) for seed in (3, 3, 4))
     assert np.allclose(first, again, rtol=1e-5)
     assert not np.allclose(first, other, rtol=1e-2)
@@ -136,6 +142,7 @@ def test_integrator_loads_from_xml_with_films_of_any_size(mi: Any) -> None:
       <shape type="sphere"><bsdf type="diffuse"/></shape>
       <emitter type="constant"/>
     </scene>""")
+    ease(scene.integrator())
     picture = np.array(mi.render(scene))
     assert picture.shape == (18, 21, 4)
     plain = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 4}), spp=400))
@@ -161,9 +168,9 @@ def test_pictures_agree_with_path_in_films_of_all_kinds(mi: Any, film: str) -> N
       <shape type="sphere"><bsdf type="diffuse"/></shape>
       <emitter type="constant"/>
     </scene>""")
-    kinds = {kind: mi.load_dict({"type": kind, "max_depth": 4}) for kind in ("metapp_guided_path", "path")}
     guided, plain = (
-        np.array(mi.render(scene, integrator=integrator, spp=400), np.float64) for integrator in kinds.values()
+        np.array(mi.render(scene, integrator=integrator, spp=400), np.float64)
+        for integrator in (load_guided(mi, 4), mi.load_dict({"type": "path", "max_depth": 4}))
     )
     assert guided.shape == plain.shape
     assert np.abs(guided - plain).mean() < 0.02
@@ -171,10 +178,7 @@ def test_pictures_agree_with_path_in_films_of_all_kinds(mi: Any, film: str) -> N
 
 
 def test_guide_ignores_the_default_device_of_the_program(mi: Any) -> None:
-    scene, guided = (
-        load_scene_with_film(mi, random_scene(1)),
-        mi.load_dict({"type": "metapp_guided_path", "max_depth": 4}),
-    )
+    scene, guided = load_scene_with_film(mi, random_scene(1)), load_guided(mi, 4)
     expected = np.array(mi.render(scene, integrator=guided, spp=32))
     with torch.device("meta"):  # stands for CUDA
         assert np.allclose(np.array(mi.render(scene, integrator=guided, spp=32)), expected, rtol=1e-5)
@@ -188,7 +192,7 @@ def test_derivatives_are_refused(mi: Any) -> None:
     key = next(key for key in values.keys() if "reflectance" in key)  # noqa: SIM118  (no mapping)
     dr.enable_grad(values[key])
     values.update()
-    picture = mi.render(scene, values, integrator=mi.load_dict({"type": "metapp_guided_path", "max_depth": 4}), spp=16)
+    picture = mi.render(scene, values, integrator=load_guided(mi, 4), spp=16)
     with pytest.raises(Exception, match="metapp_guided_path") as caught:
         dr.backward(dr.mean(picture, axis=None))
     assert "metapp_guided_path has no derivatives, expected an integrator that has; take prb" in (
@@ -206,7 +210,7 @@ def test_derivatives_are_refused(mi: Any) -> None:
 )
 def test_path_renders_with_one_warning_where_guiding_cannot_help(mi: Any, more: Any, spp: int, why: str) -> None:
     scene = load_scene_with_film(mi, random_scene(1))
-    guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("metapp_guided_path", "path"))
+    guided, plain = load_guided(mi, **more), mi.load_dict({"type": "path", "max_depth": 5} | more)
     with pytest.warns(UserWarning, match=f"metapp_guided_path: .*{why}.*; rendered by path"):
         found = mi.render(scene, integrator=guided, spp=spp, seed=1)
     assert np.array_equal(np.array(found), np.array(mi.render(scene, integrator=plain, spp=spp, seed=1)))
@@ -215,7 +219,7 @@ def test_path_renders_with_one_warning_where_guiding_cannot_help(mi: Any, more: 
 
 def test_inside_another_integrator_path_renders(mi: Any) -> None:
     scene = load_scene_with_film(mi, random_scene(1))
-    both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "metapp_guided_path", "max_depth": 4}})
+    both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": load_guided(mi, 4)})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
 
@@ -270,9 +274,9 @@ def test_lambertian_shortcut_agrees_with_the_plugin(mi: Any, sides: int) -> None
 
 
 @pytest.mark.long
-def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) -> None:
+def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any) -> None:
     scene = load_scene_with_film(mi, random_scene(101), 128)
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
+    integrator = load_guided(mi)
     noise = []
     for tested in (integrator, mi.load_dict({"type": "path", "max_depth": 5})):
         result = [np.array(mi.render(scene, integrator=tested, spp=3, seed=seed)).mean(-1) for seed in (1, 2, 3, 4)]
@@ -289,7 +293,7 @@ def test_pictures_of_few_paths_are_rendered_without_a_survey(
 
     result, survey = [], guided_picture.survey
     monkeypatch.setattr(guided_picture, "survey", lambda *arguments: result.append(survey(*arguments)) or result[-1])
-    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
+    integrator = load_guided(mi, 4)
     mi.render(load_scene_with_film(mi, random_scene(101), size), integrator=integrator, spp=16)
     assert len(result) == surveys
     assert "guided samples" in integrator.spent
@@ -303,6 +307,6 @@ def test_guard_drops_a_guide_that_does_not_reduce_errors(mi: Any, monkeypatch: p
     one = torch.eye(HISTOGRAM_BINS, dtype=torch.float64)[5:6]
     monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: cache._tabulate(one))
     scene = load_scene_with_film(mi, random_scene(2), 32)
-    guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
+    guided = load_guided(mi, max_error_ratio=1.0)
     with pytest.warns(UserWarning, match="does not lower the noise enough"):
         mi.render(scene, integrator=guided, spp=SPP)
