@@ -43,7 +43,7 @@ GONIO_SUFFIX = ".csv"
 UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
 RGB_COLUMNS = ("r", "g", "b")
 VISIBLE_RANGE_NM = (420.0, 680.0)  # spectra must cover it
-MAX_KEPT_TABLE_BYTES = 1 << 26  # tables of a folder that stay in memory; further ones are parsed again when read
+MAX_KEPT_TABLE_BYTES = 1 << 26
 MAX_TABLE_BYTES = 1 << 28  # of a file
 MAX_NOISE_PER_SR = 1e-3  # values no further below 0 than this are noise
 
@@ -56,10 +56,14 @@ _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
 recognises = functools.partial(has_suffix, suffix=GONIO_SUFFIX)
 
 
-def find(path: Path) -> Sources:
+def find(path: Path, *, max_kept_bytes: int = MAX_KEPT_TABLE_BYTES) -> Sources:
     """Find tables and parse them, since whether a material is anisotropic follows from its measurements.
 
     A table that cannot be read is marked as damaged; reading it later says what is wrong.
+
+    Args:
+        path: a file, or a folder of files.
+        max_kept_bytes: the size of the parsed tables that the sources keep; further ones are parsed again when read.
     """
     files, skipped = find_by_suffix(path, GONIO_SUFFIX, "a .csv file of a goniometer")
     sources, kept_bytes = [], 0
@@ -72,9 +76,7 @@ def find(path: Path) -> Sources:
         angles, _ = merge_repeats(pairs)
         facts = {ANISOTROPIC_FACT: angles.shape[1] == 4, SAMPLE_COUNT_FACT: len(angles)}
         kept_bytes += sum(values.nbytes for values in pairs)
-        sources.append(
-            Source(file.stem, file, facts=facts, content=pairs if kept_bytes <= MAX_KEPT_TABLE_BYTES else None)
-        )
+        sources.append(Source(file.stem, file, facts=facts, content=pairs if kept_bytes <= max_kept_bytes else None))
     return sources, skipped
 
 

@@ -8,6 +8,7 @@ from torch import Generator, Tensor
 from metapp.appearance.quilting import quilt, quilt_pixel_numbers
 from metapp.networks.quilted import (
     CORRECTION_GAIN,
+    STRIP_ROWS,
     LightGrid,
     colour_moments,
     copied_share,
@@ -89,11 +90,11 @@ def test_pieces_fade_into_each_other_across_a_cut() -> None:
     assert 0.2 < float(fade[8]) < 0.8
 
 
-def test_strips_do_not_show(photo: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    places = places_of(8, 16).roll(3, 2)
-    whole = fetch_pieces(photo, places, (40, 64), (8, 16))
-    monkeypatch.setattr("metapp.networks.quilted.STRIP_ROWS", 7)
-    torch.testing.assert_close(fetch_pieces(photo, places, (40, 64), (8, 16)), whole)
+def test_strips_do_not_show(photo: Tensor) -> None:
+    """Places that move down by a cell move the quilt by the rows of a cell, though other rows begin strips."""
+    places, rows = places_of(8, 16).roll(3, 2), 2 * STRIP_ROWS
+    moved = fetch_pieces(photo, places.roll(1, 1), (rows, 16), (8, 16))
+    torch.testing.assert_close(moved, fetch_pieces(photo, places, (rows, 16), (8, 16)).roll(rows // 8, 1))
 
 
 def test_a_trend_is_subtracted_at_any_resolution() -> None:

@@ -143,9 +143,8 @@ def test_a_table_is_parsed_once(write: Callable[..., Path], monkeypatch: pytest.
     assert all(torch.equal(found[key], value) for key, value in expected.items())
 
 
-def test_tables_of_a_large_folder_are_not_kept(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gonio, "MAX_KEPT_TABLE_BYTES", 100)
-    (source,), _ = gonio.find(write())
+def test_tables_of_a_large_folder_are_not_kept(write: Callable[..., Path]) -> None:
+    (source,), _ = gonio.find(write(), max_kept_bytes=100)
     assert source.content is None
     assert source.facts["samples"] > 0
 

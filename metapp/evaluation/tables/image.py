@@ -34,7 +34,12 @@ IMAGE_COLUMNS = columns(
 
 def image(evaluation: EvaluationRun) -> Table:
     """Make the table of image measures: a row for each measure of each picture, those without a fit first."""
-    rows = _make_rows(evaluation, picture_records(evaluation)) if evaluation.presenter.picture_measure else []
+    return make_image_table(evaluation, picture_records(evaluation) if evaluation.presenter.picture_measure else [])
+
+
+def make_image_table(evaluation: EvaluationRun, records: list[FitRecord]) -> Table:
+    """Make the table of image measures of records that hold them, see :func:`picture_records`."""
+    rows = _make_rows(evaluation, records) if evaluation.presenter.picture_measure else []
     notes = image_notes(evaluation, rows)
     return Table(evaluation.title, "measures in image space", IMAGE_COLUMNS, rows, notes)
 

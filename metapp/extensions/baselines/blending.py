@@ -13,7 +13,7 @@ import torch
 from torch import Generator, Tensor
 
 PATCH_SHARE = 1 / 4  # longest edge of a triangle over the exemplar's shorter side; a patch is two edges wide
-STRIP_ROWS = 512  # rows of a picture that are blended at a time
+STRIP_ROWS = 512
 
 
 class ColourDistribution(NamedTuple):
@@ -63,7 +63,7 @@ class ColourDistribution(NamedTuple):
         return colours
 
 
-def blend_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tensor:
+def blend_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator, *, strip_rows: int = STRIP_ROWS) -> Tensor:
     """Blend a picture that tiles from patches of an exemplar.
 
     A triangle grid covers the picture and continues at opposite edges. Each vertex has a patch of the exemplar at a
@@ -73,6 +73,7 @@ def blend_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tenso
         exemplar: the source of all patches, [3, H, W], sRGB in [0, 1], evenly lit.
         size: the height and width of the picture in px.
         rng: chooses the places of patches.
+        strip_rows: the rows of the picture that are blended at a time, which bound the memory it takes.
 
     Returns:
         The picture, [3, *size], sRGB in [0, 1].
@@ -91,7 +92,7 @@ def blend_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tenso
     ]
     x = torch.arange(size[1])[None]
     strips = []
-    for y_strip in torch.arange(size[0]).split(STRIP_ROWS):
+    for y_strip in torch.arange(size[0]).split(strip_rows):
         y = y_strip[:, None]
         blend, squared_weights = torch.zeros(3, len(y), size[1]), torch.zeros(len(y), size[1])
         for row, column, weight in find_triangle(y / steps[0], x / steps[1]):

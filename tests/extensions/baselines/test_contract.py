@@ -126,7 +126,6 @@ def rows_of(subject: EvaluationRun) -> dict[str, dict[str, Any]]:
 def test_every_application_has_baselines_and_its_table_prints_them(
     name: str, protocol: str, subject_of: Callable[[str, str], EvaluationRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.extensions.baselines.brdf.CANDIDATE_PENALTIES", (1e-6,))  # a choice takes its time
     subject = subject_of(name, protocol)
     offered = baselines_of(application(subject.app.name), subject.app)
     assert bool(offered) == ((name, protocol) not in WITHOUT_VARIABLE)

@@ -10,9 +10,10 @@ from torch import Generator
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import TimedFit
 from metapp.evaluation.table import format_tables
-from metapp.evaluation.tables import image
+from metapp.evaluation.tables.image import make_image_table
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task
+from metapp.paradigms import PARADIGMS
 from metapp.registry import WITHOUT_VARIABLE
 from metapp.storage.fit_records import FitRecord
 from tests.extensions.measures.test_measures import needs_weights
@@ -37,7 +38,7 @@ FURTHER = {
 }
 
 
-def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], str]:
+def printed(app: App, sources: list[Task]) -> tuple[set[str], str]:
     """The measures in the rows of a random fit, and the table with its notes."""
     task = sources[0]
     batch = app.init(Generator().manual_seed(1), 1) | app.task_parameters(stack_tasks(app, [task]))
@@ -54,10 +55,9 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
         fitters={},
         is_of_subset=lambda name: False,
     )
-    monkeypatch.setattr(image, "PARADIGMS", {"meta": None})
-    monkeypatch.setattr(image, "picture_records", lambda subject: records)
-    table = image.image(subject)
-    assert all(row["error"] is not None for row in table.rows if row["measure"])
+    table = make_image_table(subject, records)
+    others = PARADIGMS.keys() - {"meta"}
+    assert all(row["error"] is not None for row in table.rows if row["measure"] and row["paradigm"] not in others)
     return {row["measure"] for row in table.rows} - {None}, format_tables([table], "markdown")
 
 
@@ -66,13 +66,13 @@ def test_each_table_has_its_measures_and_names_missing_ones(
     app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch, cache: Path, random_vgg_file: Path
 ) -> None:
     further = FURTHER[app.name]
-    measures, text = printed(app, sources, monkeypatch)
+    measures, text = printed(app, sources)
     assert measures >= further - FLAT
     assert not measures & FLAT
     for name in further & FLAT:
         assert f"\n- {name}: the weights of VGG-16 are missing: metapp data vgg" in text
     (cache / "vgg16.safetensors").symlink_to(random_vgg_file)
-    measures, text = printed(app, sources, monkeypatch)
+    measures, text = printed(app, sources)
     assert measures >= further | OWN.get(app.name, set())
     for name in further:
         assert f"| {name} |" in text
@@ -84,7 +84,7 @@ def test_tables_have_all_other_columns_without_the_extension(
     app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(WITHOUT_VARIABLE, "measures")
-    measures, text = printed(app, sources, monkeypatch)
+    measures, text = printed(app, sources)
     assert measures >= OWN.get(app.name, set())
     assert not measures & set().union(*FURTHER.values())
     assert presenter_of(app).picture_measure in text

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Generator
+from torch.nn.functional import normalize
 
-from data_tools.readers.gonio import read_pairs
-from data_tools.readers.measured_pairs import task_of_pairs
+from data_tools.readers.gonio import read_pairs, write_pairs
+from data_tools.readers.measured_pairs import MeasuredPairs, task_of_pairs
 from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
-from metapp.extensions.plan import planned_pairs
+from metapp.extensions.plan.planned_pairs import MAX_PLANNED_FROM
 from metapp.storage.fit_store import read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -104,15 +106,14 @@ def test_a_plan_without_mirror_directions_says_so(
 
 
 def test_a_plan_after_many_measurements_reads_some_of_them_and_says_so(
-    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, tmp_path: Path, rng: Generator
 ) -> None:
     """All of them are in the new table."""
-    monkeypatch.setattr(planned_pairs, "MAX_PLANNED_FROM", 8)
-    file, more = tmp_path / "paint.csv", tmp_path / "more.csv"
-    assert metapp("plan", "brdf", "--samples", 12, "--out", file).code == 0
-    fill_in(file)
-    planned = metapp("plan", "brdf", "--samples", 2, "--after", file, "--out", more)
-    assert "12 measurements, planned from 8 of them, drawn at random" in planned.err
-    assert len(more.read_text().splitlines()) == 3 + 12 + 2
-    again = metapp("plan", "brdf", "--samples", 2, "--after", file, "--out", more, "--overwrite", "--quiet")
+    file, more, count = tmp_path / "paint.csv", tmp_path / "more.csv", MAX_PLANNED_FROM + 1
+    wi, wo = normalize(torch.rand(2, count, 3, generator=rng, dtype=torch.float64) + 0.1, dim=-1)
+    write_pairs(file, wi[:0], wo[:0], MeasuredPairs(wi, wo, torch.full_like(wi, 0.1)))
+    planned = metapp("plan", "brdf", "--samples", 1, "--after", file, "--out", more)
+    assert f"{file}: {count:,} measurements, planned from {MAX_PLANNED_FROM:,} of them" in planned.err
+    assert len(more.read_text().splitlines()) == 3 + count + 1
+    again = metapp("plan", "brdf", "--samples", 1, "--after", file, "--out", more, "--overwrite", "--quiet")
     assert again.err == ""
