@@ -20,6 +20,7 @@ from metapp.runs import fitter
 from metapp.runs.memory_errors import describe_short_memory
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records
+from tests.cli.messages import says
 from tests.conftest import CommandResult
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -115,11 +116,9 @@ def test_short_memory_is_named_with_a_size_that_takes_less(
     quick = RECIPES["quick"]
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Failing(quick.app.network)))
     line = only_error_line(fit("overfit", network, "--steps", "2", "--recipe", "quick"))
-    assert "memory is short: 12.0 GB more are not free, expected room for the work; " in line
-    assert describe_short_memory(MemoryError("Unable to allocate 3.00 GiB for an array"), (512, 1024)) == (
-        "memory is short: 3.00 GiB more are not free, expected room for files of 512x1024 px; --size 256x512 takes a "
-        "quarter of it."
-    )
+    assert says(line, "memory", "12.0 GB")
+    in_numpy = MemoryError("Unable to allocate 3.00 GiB for an array")
+    assert says(describe_short_memory(in_numpy, (512, 1024)), "3.00 GiB", "512x1024", "--size 256x512")
     assert describe_short_memory(RuntimeError("shapes differ")) == ""
 
 
@@ -135,7 +134,7 @@ def test_unexpected_errors_are_one_line_that_asks_for_a_report(
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Failing(quick.app.network)))
     line = only_error_line(fit(*words))
     assert type(error).__name__ in line
-    assert "please report it" in line
+    assert "report" in line
     monkeypatch.setenv("METAPP_TRACEBACK", "1")
     with pytest.raises(type(error)):
         fit(*words)
@@ -155,8 +154,8 @@ def test_records_state_threads_and_fits_that_end_worse(
     assert "warning" not in whole.document()
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit=Adam(1.0)))
     result, worse = record("--recipe", "quick")
-    assert "warning: m0: the visible loss rose from" in result.err
-    assert worse.warning.startswith("the visible loss rose from ")
+    assert says(result.err, "warning: m0: ", "loss rose")
+    assert "loss rose" in worse.warning
     assert result.json_result["tasks"][0]["warning"] == worse.warning
     monkeypatch.setattr(fitter, "draw_per_task", None)
     assert "warning" not in fit("meta", network, "--json").json_result["tasks"][0]  # its guard compared them

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
@@ -26,6 +26,7 @@ from metapp.storage.files import file_digest
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import RECORD, FitStore, read_fit_records, read_params
 from metapp.storage.folders import MARKER
+from tests.cli.messages import says
 from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")
@@ -79,15 +80,11 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
             (folder / name / "merl").touch()
     result = fit("general", *STEPS, "--export", "merl,nbrdf")
     assert result.code == 1
-    output = " ".join(result.err.split())
     for name in ("m4", "m9"):
-        assert (
-            f"{folder}/{name}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in output
-        )
+        assert says(result.err, f"{folder}/{name}/merl/{name}", "No space left" if full else "File exists")
         assert (folder / name / "nbrdf" / name).is_dir()
         assert read_params(folder / name)
-    assert "error: 2 exports were not written; all fits are kept." in output
-    assert "inputs were not fitted" not in output
+    assert result.error.startswith("error: 2 exports")
     assert [record.name for record in read_fit_records(folder)] == ["m4", "m9"]
 
 
@@ -110,7 +107,7 @@ def test_a_fit_that_cannot_be_written_leaves_the_others_and_the_report(
     assert len(result.json_document["tasks"]) == fitted
     reasons = [failure["reason"] for failure in result.json_document["failures"]]
     assert os.strerror(number) in reasons[0]
-    assert ["not fitted, since the disk is full" in reason for reason in reasons[1:]] == [True] * (3 - fitted)
+    assert ["disk" in reason for reason in reasons[1:]] == [True] * (3 - fitted)
 
 
 def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
@@ -118,7 +115,7 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert result.code == 0
     assert "m4" in result.out
     assert "mean error" in result.out
-    assert "from a random initialisation" in result.err
+    assert says(result.err, "brdf overfit", "40 steps", "random")
     (folder,) = Path("runs/brdf").iterdir()
     assert folder.name.startswith("overfit-materials-")
     assert f"fits: {folder}" in result.err
@@ -153,28 +150,15 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
     several = metapp(
         "general", "brdf", *(networks / f"m{i}" for i in range(6)), "--recipe", "quick", "--export", "merl"
     )
-    assert "mean error; other columns: median" in several.out
-    assert "merl: 6 files, the first is runs/brdf/general-quick/m0/merl/m0.binary" in several.err
-
-
-def test_an_empty_word_is_no_folder_and_no_value(metapp: Callable, networks: Path) -> None:
-    """A shell makes it of a variable that is not set; it would be read as the current folder."""
-    assert "an empty word, expected a file or a value" in metapp("general", "brdf", "").misuse
-    for words in (("--export", ""), ("--out=",), ("", networks / "m1")):
-        assert "an empty word after" in metapp("general", "brdf", networks / "m1", *words).misuse
-
-
-def test_a_data_set_that_is_not_there_is_refused_beside_inputs(metapp: Callable, networks: Path) -> None:
-    assert "typo: no such folder" in metapp("general", "brdf", networks / "m1", "--data", "typo").refusal
+    assert says(several.out, "mean error")
+    assert says(several.err, "merl: 6 files", "runs/brdf/general-quick/m0/merl/m0.binary")
 
 
 def test_a_name_that_begins_with_a_dash_is_no_option(metapp: Callable, networks: Path) -> None:
     for name in ("-m1", "-out.csv", "--m1"):
         shutil.copytree(networks / "m1", name)
         for words in (("general", "brdf", name), ("view", name), ("export", name, "merl"), ("data", "check", name)):
-            assert f"{name}: a file whose name begins with a dash, which would be read as options; write ./{name}." in (
-                metapp(*words).misuse
-            )
+            assert says(metapp(*words).misuse, f"{name}: ", f"./{name}")
     options = ("--recipe", "quick", "--quiet")
     for words in (("./-m1", *options), (*options, "--", "-m1"), (networks / "m1", *options, "--out", "-m1")):
         assert metapp("general", "brdf", *words).code == 0, words
@@ -210,7 +194,7 @@ def test_a_trained_checkpoint_is_used_where_it_is_named(fit: Callable) -> None:
         assert str(checkpoint) in again.err
         assert errors_of(again) == errors_of(trained)
     assert fit("finetune", "--json", "--checkpoint", checkpoint.parent).json_document["steps"] == 5
-    refuse(fit("meta", "--checkpoint", checkpoint.parent), "holds general, expected meta-curvature.safetensors")
+    refuse(fit("meta", "--checkpoint", checkpoint.parent), "general", "meta-curvature.safetensors")
     assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
     fit("general", *STEPS)
     assert not checkpoint.with_suffix(".previous.safetensors").exists()  # it would be the same
@@ -231,7 +215,7 @@ def test_a_table_compares_the_checkpoints_of_a_folder(fit: Callable, metapp: Cal
     assert {name: found[name] for name in means} == pytest.approx(means)
     assert found != {row["paradigm"]: row["error"] for row in ships}
     both = metapp("evaluate", "brdf", "texture", "--checkpoint", folder)
-    assert (both.code, "expected one APP and the folder" in " ".join(both.err.split())) == (2, True)
+    assert says(both.misuse, str(folder), "2 applications", "one APP")
 
 
 @pytest.mark.parametrize(("paradigm", "rule"), [("general", "general"), ("meta", "meta-sgd")])
@@ -262,9 +246,8 @@ def test_a_training_begins_at_the_general_that_is_named(fit: Callable) -> None:
         assert (result.code, "General: mine.safetensors" in result.err) == (0, True)
     assert not list(Path("runs/brdf/checkpoints").rglob("general.safetensors"))
     (tuned,) = Path("runs/brdf/checkpoints").rglob("quickft.safetensors")
-    refuse(fit("quickft", "--train", "--checkpoint", tuned), "expected the General that an Adam is searched for")
-    folder = fit("quickft", "--train", "--checkpoint", tuned.parent)
-    assert (folder.code, "with --train name a file in it" in folder.err) == (2, True)
+    refuse(fit("quickft", "--train", "--checkpoint", tuned), str(tuned), "General")
+    assert says(fit("quickft", "--train", "--checkpoint", tuned.parent).misuse, str(tuned.parent), "--train", "file")
 
 
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
@@ -272,7 +255,7 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0), search=([{"beta1": 0.3, "rate": 1e-7}],)))
     assert fit("general", *STEPS).code == 0
     (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    assert "no Adam was tuned" in fit("quickft", "--checkpoint", general).err
+    assert says(fit("quickft", "--checkpoint", general).err, "no Adam", "--train")
     tuned = fit("quickft", "--train", "--checkpoint", general, "--json")
     assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
@@ -295,111 +278,37 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     monkeypatch.setitem(RECIPES, "quick", replace(short, app=Interrupted(short.app.network)))
     result = fit("overfit")
     assert result.code == 130
-    assert "interrupted; the same command with --resume fits only the inputs that have no fit yet." in result.err
+    assert says(result.err, "interrupted", "--resume")
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
     (kept,) = read_fit_records(run)
-    assert "1 of 2 inputs are skipped, since they have a fit by equal settings" in fit("overfit", "--resume").err
+    assert says(fit("overfit", "--resume").err, "1 of 2 inputs", "skipped")
     first, second = read_fit_records(run)
     assert first == kept
     assert second.name == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
     assert read_fit_records(run) == [first, second]
-    assert "2 of 2 fits and their pictures replace earlier ones; --resume keeps earlier fits" in fit("overfit").err
+    assert says(fit("overfit").err, "2 of 2 fits", "replace", "--resume")
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
     """A General of equal settings is not trained again, and one of other settings is not replaced."""
     result = fit("meta", *STEPS)
-    assert "no General ships for this data: training it first, 3 steps" in result.err
+    assert says(result.err, "General", "training it first", "3 steps")
     (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
     before = general.stat().st_mtime_ns
     assert "training it first" not in fit("quickft", *STEPS).err
     assert general.stat().st_mtime_ns == before
-    refuse(fit("meta", *STEPS[:-1], "2"), "a General that was trained by other settings; begin at it with --checkpoint")
+    refuse(fit("meta", *STEPS[:-1], "2"), str(general), "General", "--checkpoint")
     assert general.stat().st_mtime_ns == before
 
 
-# What is refused, each with its exit code and one line
-
-
-MISUSED = """
-meta --rule meta-magic                 | meta-magic ; meta-sgd
-meta --recipe slow                     | slow ; quick
-meta --observe photo                   | --observe
-meta --export blend                    | blend ; nbrdf
-meta --steps -1                        | --steps ; 0
-meta --steps ten                       | --steps ; integer
-meta --batch 0                         | --batch
-meta --device tpu                      | tpu ; cuda
-meta --train-steps 5                   | --train
-overfit --seed -1                      | --seed
-evaluate --which nothing               | nothing ; results
-evaluate --format word                 | word ; markdown
-evaluate --recipe slow                 | slow ; quick
-meta --rule meta-lgd                   | rule 'meta-lgd': its part network does not apply to brdf: no parameter
-meta --rule meta-curvatur              | Did you mean 'meta-curvature'?
-overfit --steps 99999999999999999999   | --steps 99999999999999999999: expected 0 to 1,000,000,000
-general --train --train-steps 99999999999999999999 | --train-steps 99999999999999999999: expected 1 to 1,000,000,000
-"""
-MISUSED_ELSEWHERE = """
-meta brdfs                             | brdfs ; expected one of brdf ; Did you mean 'brdf'?
-mta                                    | Did you mean 'meta'?
-meta texture --export png61            | Did you mean 'png16'?
-meta illumination --rule meta-basis    | its part average does not apply to illumination
-data synth brdf --seed 99999999999999999999        | '--seed': Input should be less than or equal to 92233720368547758
-data nbrdf m --out set --samples 99999999999999999 | --samples 99999999999999999: expected 2 to 10,000,000
-"""
-
-
-def test_wrong_options_are_refused(metapp: Callable, fit: Callable) -> None:
-    for table, call in ((MISUSED, fit), (MISUSED_ELSEWHERE, metapp)):
-        for words, parts in (line.split("|") for line in table.strip().splitlines()):
-            misuse = call(*words.split()).misuse
-            assert all(part.strip() in misuse for part in parts.split(" ; ")), (words, misuse)
-    for words in (
-        ("meta", "zzzz"),
-        ("zzzz",),
-        ("meta", "brdf", "--rule", "zzzz"),
-        ("meta", "texture", "--export", "zzzz"),
-    ):
-        assert "Did you mean" not in metapp(*words).misuse
+# What is refused: test_cli_messages.py has a table of each kind of message
 
 
 def refuse(result: CommandResult, *parts: str) -> None:
     assert result.out == ""
     assert all(part in result.error for part in parts), result.err
-
-
-REFUSED = """
-overfit none.binary                      | none.binary: no such file
-overfit text.binary                      | text.binary: 14 bytes, expected 34,992,012
-overfit photo.png                        | photo.png: not an input of brdf ; MERL ; one of ; svbrdf_stationary, texture.
-overfit folder                           | folder: not an input of brdf
-overfit --data none                      | none
-overfit --data train                     | 0 test tasks
-general --train --train-steps 3 --data test | 0 tasks
-general --checkpoint none.safetensors    | no such checkpoint
-general --checkpoint broken.safetensors  | not a checkpoint
-general --checkpoint foreign.safetensors | not a checkpoint
-meta --checkpoint general.safetensors    | a checkpoint of brdf general, expected brdf meta-curvature
-meta --recipe paper --rule meta-encoder  | no checkpoint ; --train
-meta --rule meta-average                 | brdf meta-average, recipe quick: no checkpoint ; --train
-"""
-
-
-def test_bad_files_are_refused(fit: Callable, metapp: Callable, networks: Path) -> None:
-    Path("folder").mkdir()
-    for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b""}.items():
-        Path(name).write_bytes(content)
-    Path("broken.safetensors").write_bytes(b"broken")
-    save_file({"x": torch.zeros(2)}, "foreign.safetensors")
-    for split in ("train", "test"):
-        metapp("data", "nbrdf", networks / "m1", "--out", split, "--split", split, "--samples", "512")
-    fit("general", *STEPS)
-    next(Path("runs").rglob("general.safetensors")).rename("general.safetensors")
-    for words, parts in (line.split(" | ") for line in REFUSED.strip().splitlines()):
-        refuse(fit(*words.split()), *map(str.strip, parts.split(" ; ")))
 
 
 def test_parameters_that_are_not_finite_are_an_error(
@@ -411,7 +320,7 @@ def test_parameters_that_are_not_finite_are_an_error(
 
     monkeypatch.setitem(RECIPES, "quick", replace(short, app=Infinite(short.app.network)))
     error = metapp("overfit", "brdf", networks / "m1", "--steps", "0", "--recipe", "quick").error
-    assert "m1: the fit's parameters are not finite" in error
+    assert says(error, "m1: ", "not finite")
     assert not list(Path("runs").rglob("*.jsonl"))
 
 
@@ -431,7 +340,7 @@ def test_a_rule_without_a_checkpoint_is_trained_and_used(fit: Callable) -> None:
     again = fit("meta", "--rule", "meta-adam", "--json", "--quiet", "--checkpoint", path.parent).json_document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.json_document["tasks"]]
     assert "meta-adam" in Path(again["out"]).name
-    refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule meta-adam")
+    refuse(fit("meta", "--checkpoint", path), "brdf meta-curvature", "--rule meta-adam")
 
 
 @pytest.mark.long
@@ -457,6 +366,3 @@ def test_records_state_the_albedo_of_brdfs(fit: Callable) -> None:
     assert len(record.figures["albedo"]) == 16
     assert max(record.figures["albedo"]) <= 1
     assert "-conserve" in done.json_document["out"]
-    refused = fit("meta", "--recipe", "few", "--conserve")
-    assert refused.code == 2
-    assert "expected a recipe of isotropic BRDFs, such as full or quick" in " ".join(refused.err.split())

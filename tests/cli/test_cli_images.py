@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
+from tests.cli.messages import says
 from tests.pictures import noise_image, write_image, write_noise_map, write_noise_photo, write_text
 
 IN, OUT = Path("in"), Path("out")
@@ -110,7 +111,7 @@ def test_files_become_a_data_set(name: str, metapp: Callable) -> None:
     assert (document["app"], document["out"], len(document["skipped"])) == (case.app, "out", len(case.skipped))
     assert ({*document["train"]}, {*document["test"]}) == (train.keys(), test.keys())
     *lines, last = result.err.splitlines()
-    assert last.startswith(f"{case.app}: {len(train)} train + {len(test)} test tasks in out")
+    assert says(last, case.app, f"{len(train)} train", f"{len(test)} test", "out")
     assert all(name in line for name, line in zip(case.skipped, lines, strict=True))
     assert list_data_set_problems(OUT) == []
     manifest = read_manifest(OUT)
@@ -131,7 +132,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
         write_image(Path("of") / f"1_{letter}.png", np.full((36, 36, 3), colour, np.uint8))
     convert = ("data", "strips", IN, "--out", OUT, "--split", "test", "--size", "36", "--overwrite")
     result = metapp(*convert, "--predicted", "of")
-    assert "in/2;a;0.png: of/2_N.png: no such file" in result.err
+    assert says(result.err, "in/2;a;0.png", "of/2_N.png", "no such file")
     assert [entry.name for entry in read_manifest(OUT).tasks] == ["1_a_0"]  # what is not predicted is left out
     assert read_manifest(OUT).notes["predicted"] == "of"
     (task,) = read_data_set(OUT, "test", "svbrdf_nonstationary")
@@ -152,5 +153,4 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert "normals, degrees: " in " ".join(metapp("compare", ours, judged["out"]).out.split())
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0
-    assert "1_a_0: no predicted maps, expected some" in metapp(*call, "--recipe", "quick").error
-    assert "'nowhere': no such folder" in metapp(*convert, "--predicted", "nowhere").misuse
+    assert says(metapp(*call, "--recipe", "quick").error, "1_a_0", "no predicted maps")

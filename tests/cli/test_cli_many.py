@@ -17,6 +17,7 @@ from metapp.runs.fit import Fit
 from metapp.runs.fitter import Fitter
 from metapp.runs.inputs.run_inputs import Input
 from metapp.storage.fit_store import name_with_digest, read_fit_records
+from tests.cli.messages import says
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -84,7 +85,7 @@ def test_fitted_inputs_are_not_fitted_again(fit: Callable, fitted_batches: list[
     again = fit("--batch", "4", "--resume")  # another number is the same run
     assert fitted_batches == []
     assert (again.json_document["tasks_per_second"], again.json_document["tasks"]) == (None, first["tasks"])
-    assert "5 of 5 inputs are skipped, since they have a fit by equal settings" in again.err
+    assert says(again.err, "5 of 5 inputs", "skipped")
     for file in (materials / "m3").iterdir():
         file.touch()  # which does not change its content
     shutil.rmtree(materials / "m1")
@@ -124,7 +125,7 @@ def test_failed_fits_are_separated_from_their_batch(
     quick = RECIPES["quick"]
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Broken(quick.app.network)))
     result = fit("--batch", "4")
-    assert result.error == "error: 1 of 5 inputs were not fitted."
+    assert "1 of 5 inputs" in result.error
     assert sorted(errors(result.json_document)) == ["m0", "m2", "m3", "m4"]
     assert "not finite" in result.json_document["failures"][0]["reason"]
     assert fitted_batches == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
@@ -157,7 +158,7 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").json_document)
     assert list(first) == names
-    assert "5 of 5 fits and their pictures replace earlier ones" in (again := fit()).err
+    assert says((again := fit()).err, "5 of 5 fits", "replace")
     assert list(errors(again.json_document)) == names
 
 
@@ -182,5 +183,6 @@ def test_faults_of_warm_ups_doubts_and_pictures_end_no_other_fit(
     assert run.code == 1
     assert len(run.json_document["tasks"]) == NETWORKS - 1
     assert len(run.json_document["failures"]) == 1
-    assert run.err.count("could not be examined for doubts (max(): no elements)") == NETWORKS
-    assert run.err.count("could not be examined for doubts (max(): no elements)\n") >= 1
+    doubts = [line for line in run.err.splitlines() if re.match(r"warning: m\d: ", line)]
+    assert len(doubts) == NETWORKS
+    assert all("(max(): no elements)" in line and "second line" not in line for line in doubts)

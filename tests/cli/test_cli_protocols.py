@@ -41,6 +41,7 @@ from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import Bar, use_reporter
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
+from tests.cli.messages import says
 from tests.marked import long
 from tests.pictures import write_planes
 from tests.recipe_apps import app_by_recipe, exports_of
@@ -58,7 +59,7 @@ class Inputs(NamedTuple):
     reference: Callable[[Path], Path]  # a file of an HDR map, or a strip
     photo: Callable[[Path], Path]  # of a sphere, or under a flash
     files: set[str]  # that a fit makes
-    refusal: str  # of the photo where fits see references
+    refusal: tuple[str, ...]  # facts in the line that refuses the photo where fits see references
 
 
 def lamp() -> Tensor:
@@ -97,11 +98,11 @@ APPS = {
     "illumination": Inputs(
         lambda folder: write_planes(folder / "reference.exr", lamp(), "float"), ball,
         {"map.exr", "map.png", "relit.png"},
-        "photo: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a ball",
+        ("photo: ", "HDR", ".exr", "--observe reference"),
     ),
     SVBRDF: Inputs(
         strip, flash, MADE,
-        "photo: a flash photo, expected a material's maps; give these or a strip, or leave --observe reference out",
+        ("photo: ", "maps", "strip", "--observe reference"),
     ),
 }  # fmt: skip
 
@@ -180,32 +181,34 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
 def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, capsys: Any) -> None:
     """The first that all of them hold; a path that is not there is refused by whatever reads it."""
 
-    def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
+    def is_chosen(observes: str, *inputs: Path, why: str = "", **more: Any) -> bool:
+        """Whether this is chosen, and one line says so with its reason, or none if no input decides."""
         with use_reporter(Terminal()):
             choice = find_and_choose(fit_options(app, "general", inputs, recipe="quick", **more))
-        return choice.app.observes, capsys.readouterr().err.strip()
+        line = capsys.readouterr().err.strip()
+        return choice.app.observes == observes and (says(line, app, observes, why) if why else line == "")
 
-    assert chosen(photo) == ("photo", f"{app}: fits see: photo, since every input is a photo alone")
-    assert chosen(reference) == ("reference", f"{app}: fits see: reference, since every input has one")
-    mixed = ("photo", f"{app}: fits see: photo, since 1 of 2 inputs hold a photo alone")
-    assert chosen(reference, photo) == chosen(photo.parent) == mixed
-    assert chosen(Path("none")) == ("reference", "")
-    assert chosen(photo, observe="reference") == ("reference", "")
+    assert is_chosen("photo", photo, why="every")
+    assert is_chosen("reference", reference, why="every")
+    assert is_chosen("photo", reference, photo, why="1 of 2")
+    assert is_chosen("photo", photo.parent, why="1 of 2")
+    assert is_chosen("reference", Path("none"))
+    assert is_chosen("reference", photo, observe="reference")
 
 
 def test_a_photo_is_refused_where_fits_see_references(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
     """Alone, and among references, which are fitted."""
     result = metapp("overfit", app, photo, "--observe", "reference")
-    assert APPS[app].refusal in result.error
+    assert says(result.error, *APPS[app].refusal)
     assert len(result.err.strip().splitlines()) <= 2
     assert not list(Path("runs").rglob(RECORD))
     both = metapp("overfit", app, reference, photo, "--quiet", "--observe", "reference")
     assert both.code == 1
-    assert APPS[app].refusal in both.err
+    assert says(both.err, *APPS[app].refusal)
 
 
 def test_data_sets_choose_the_protocol(on_data: Callable) -> None:
-    assert "fits see: reference, since every task of set has one" in on_data("overfit", "--steps", "1").err
+    assert says(on_data("overfit", "--steps", "1").err, "fits see", "reference", "set")
 
 
 # Materials alone
@@ -222,7 +225,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     form = replace(exports_of(SVBRDF)["asset"], needs=("no_such_module", "no-such-package"))
     monkeypatch.setitem(registry().applications[SVBRDF].exports.data, "asset", form)
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
-    assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
+    assert says(misuse, "--export asset", "no-such-package", 'pip install "metapp[export]"')
     assert not Path("runs").exists()
 
 
@@ -241,9 +244,11 @@ def test_cropping_is_reported_and_progress_shown(shot: Path, capsys: Any) -> Non
     with use_reporter(Shown()):
         execute(find_and_choose(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
     lines = capsys.readouterr().err.splitlines()
-    notes = [f"wide{number}.png: 96 x 64 px: the central 64 x 64 px, scaled to 256 x 256" for number in range(2)]
-    assert [line for line in lines if "px" in line][1:] == notes
-    assert lines.count("further inputs are cut and scaled likewise") == 1
+    notes = [line for line in lines if "px" in line][1:]
+    for number, note in enumerate(notes):
+        assert says(note, f"wide{number}.png", "96 x 64 px", "64 x 64 px", "256 x 256")
+    assert len(notes) == 2  # then one line for all others
+    assert sum("further inputs" in line for line in lines) == 1
     shares = {note.partition(": ")[2]: share for share, note in shown if note.startswith("wide1")}
     assert list(shares) == ["fitting", "pictures", "png16"]
     assert 0 < shares["fitting"] < shares["pictures"] < shares["png16"] < 1
@@ -257,20 +262,20 @@ def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:
         specs = [oiio.ImageBuf(str(path)).spec() for path in Path("runs").rglob("*/photo/**/*.png")]
         assert len(specs) > 7
         assert {(spec.width, spec.height) for spec in specs} == {(side, side)}
-    misuse = metapp("overfit", SVBRDF, shot, "--size", "32x64").misuse
-    assert "--size 32x64: svbrdf_nonstationary expects square maps of 32 to 4096 px" in misuse
 
 
 def test_each_run_prints_the_mean_tilt_once(metapp: Callable, shot: Path) -> None:
-    few = "; one photo cannot tell dents from bumps, several photos of one place do: metapp data rectify PHOTOS"
+    few = "metapp data rectify"  # what tells dents from bumps
     result = metapp("overfit", SVBRDF, shot, "--json")
     tilt = result.json_document["tasks"][0]["mean_tilt_degrees"]
     assert tilt > 0
-    assert f"relief: mean tilt {tilt:.1f} degrees{few * (tilt >= VISIBLE_TILT_DEGREES)}\n" in result.err
+    (line,) = re.findall("relief: .*", result.err)
+    assert f"{tilt:.1f} degrees" in line
+    assert (few in line) == (tilt >= VISIBLE_TILT_DEGREES)
     assert "relief" not in metapp("overfit", SVBRDF, shot, "--quiet").err
     shutil.copy(shot, shot.with_stem("other"))
     (line,) = re.findall("relief: .*", metapp("overfit", SVBRDF, shot.parent).err)
-    assert re.fullmatch(rf"relief: mean tilt \d+\.\d degrees, median of 2, up to \d+\.\d({re.escape(few)})?", line)
+    assert re.search(r"\d\.\d degrees, median of 2, up to \d+\.\d", line)
 
 
 def test_exported_slopes_are_scaled_by_the_relief_factor(metapp: Callable, shot: Path) -> None:
@@ -285,7 +290,7 @@ def test_exported_slopes_are_scaled_by_the_relief_factor(metapp: Callable, shot:
     common = ("overfit", SVBRDF, shot, "--json")
     result = metapp(*common, "--relief", "2")
     one, two = metapp(*common).json_document, result.json_document
-    assert f"relief: mean tilt {two['tasks'][0]['mean_tilt_degrees']:.1f} degrees, without --relief" in result.err
+    assert says(result.err, f"{two['tasks'][0]['mean_tilt_degrees']:.1f} degrees", "--relief")
     same = ("name", "photo_error", "mean_tilt_degrees")
     assert [one["tasks"][0][key] for key in same] == [two["tasks"][0][key] for key in same]
     plain, twice = normals(one["out"]), normals(two["out"])
@@ -297,7 +302,7 @@ def test_exported_slopes_are_scaled_by_the_relief_factor(metapp: Callable, shot:
     shown = oiio.ImageBuf(str(Path(two["out"], "photo", "normal.png"))).get_pixels(oiio.FLOAT)
     np.testing.assert_allclose(2 * shown - 1, twice, atol=1.01 / 255)
     for factor in ("-1", "nan"):
-        assert "expected 0 to 10" in metapp("export", one["out"], "exr", "--relief", factor).misuse
+        assert says(metapp("export", one["out"], "exr", "--relief", factor).misuse, f"--relief {factor}", "0 to 10")
 
 
 def test_exposure_option_scales_the_photo(metapp: Callable, shot: Path) -> None:
@@ -308,12 +313,6 @@ def test_exposure_option_scales_the_photo(metapp: Callable, shot: Path) -> None:
     assert [choose_as_recorded(run[0].settings).app.observes for run in runs] == ["photo", "photo"]
     (one,), (other,) = (find_fitted_tasks(run, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
-    misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
-    assert "--stops: only with --observe photo; add that." in misuse
-    misuse = metapp("overfit", SVBRDF, "--observe", "photo", "--stops", "1").misuse
-    assert "--stops: about INPUT alone; name what to fit." in misuse
-    misuse = metapp("overfit", "texture", shot, "--stops", "1").misuse
-    assert "No such option: --stops" in misuse
 
 
 # What --observe picks is part of every figure and start, but of General, which all protocols share
@@ -346,18 +345,10 @@ def test_protocols_share_generals_checkpoint_alone(on_data: Callable, monkeypatc
     assert on_data("general", *STEPS).code == 0
     assert all(torch.equal(value, before[key]) for key, value in load_checkpoint(general)[0].encoder.items())
     refused = on_data("meta", "--rule", rule, "--checkpoint", folder / f"{rule}-photo.safetensors").error
-    assert "for --observe photo, expected one for reference" in refused
+    assert says(refused, f"{rule}-photo", "--observe photo", "reference")
     assert "tuned Adam" in on_data("quickft", "--observe", "photo", "--checkpoint", folder).err
     other = on_data("quickft", "--checkpoint", folder).err
     assert f"metapp quickft {SVBRDF} --train --observe reference --data" in other
-
-
-def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
-    for apps, observe, reason in (
-        (("texture", "svbrdf_stationary"), "photo", "texture has one protocol"),
-        (("texture", SVBRDF), "mirror", f"{SVBRDF} expects one of reference, photo"),
-    ):
-        assert reason in metapp("evaluate", *apps, "--observe", observe, "--no-run").misuse
 
 
 def test_observe_option_selects_protocols_in_evaluations() -> None:
@@ -383,5 +374,5 @@ def test_meta_is_compared_with_general_where_overfit_sees_less() -> None:
 
     assert "gap closed 0.24" in describe_gap(evaluation_of("reference"), rows)
     output = describe_gap(evaluation_of("photo"), rows)
-    assert output.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
+    assert says(output, "12 % below General's", "10 % below QuickFT's", "Overfit")
     assert "gap" not in output

@@ -22,6 +22,7 @@ from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.storage.fit_store import read_fit_records
 from tests.appearance.test_features import random_weights
+from tests.cli.messages import says
 from tests.pictures import write_noise_photo
 from tests.recipe_apps import app_by_recipe, presenter_of
 
@@ -117,8 +118,7 @@ def test_files_are_written_in_the_size_asked_for(app: str, data: str, metapp: Ca
     files = [*(run / "wall").glob("*.png"), *(run / "wall" / "png16").rglob("*.png")]
     assert {"wall", "wall/png16/wall"} == {str(file.relative_to(run).parent) for file in files}
     assert {size_of(file) for file in files} == {(32, 48)}
-    assert f"--size 33x48: {app} expects multiples of " in metapp(*common, "--size", "33x48").misuse
-    assert "--size '48x': expected HEIGHTx" in metapp(*common, "--size", "48x").misuse
+    assert says(metapp(*common, "--size", "33x48").misuse, "--size 33x48", app, "multiples")
 
 
 @pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)
@@ -149,7 +149,7 @@ def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, 
     assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
     save_file(random_weights(), vgg_weights_path())
     (folder,) = Path("runs", app, "checkpoints").iterdir()
-    assert "its encoder reads random filters" in metapp("general", *common, "--checkpoint", folder).refusal
+    assert "random filters" in metapp("general", *common, "--checkpoint", folder).refusal
     meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet", "--checkpoint", folder)
     assert meta.code == 0
-    assert "warning: meta-sgd.safetensors was trained with random filters" in meta.err
+    assert says(meta.err, "warning: meta-sgd.safetensors", "random filters")

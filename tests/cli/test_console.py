@@ -11,6 +11,7 @@ import pytest
 
 from metapp.paradigms import PARADIGMS
 from metapp.registry import Command, registry
+from tests.cli.messages import says
 
 # names are printed as they are, whatever they look like: markup, emoji codes
 NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
@@ -39,8 +40,8 @@ def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pyte
     for words in ([], *(name.split() for name in registry().commands)):
         shown = metapp(*words, "--help").out.strip("\n")
         assert len(shown.splitlines()) <= 40, words
-    assert "Seed of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
-    assert "Folder to write to; made if missing. Required." in metapp("data", "merl", "--help").out
+    assert says(metapp("data", "cornell", "--help").out, "--seed", "Default: 0.")
+    assert says(metapp("data", "merl", "--help").out, "--out", "Required.")
 
 
 @pytest.mark.parametrize("name", NAMES)
