@@ -13,6 +13,7 @@ from torch import Tensor
 
 from data_tools.readers import gonio, measured_pairs
 from data_tools.readers.measured_pairs import MeasuredPairs
+from data_tools.synthetic.examples import write_example
 from metapp.appearance.colorimetry import import_colour_science, spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz, is_above_horizon, rusinkiewicz_to_directions
 from metapp.entries import load_reference
@@ -299,12 +300,9 @@ def test_pairs_below_the_surface_are_counted(recwarn: pytest.WarningsRecorder) -
 
 def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_path: Path) -> None:
     """No reference sphere, and no differences from one, in pictures, comparisons and pages."""
-    assert metapp("examples", "--make", tmp_path).code == 0
-    runs = [
-        metapp(paradigm, "brdf", tmp_path / "paint.csv", "--json").json_result["out"]
-        for paradigm in ("meta", "quickft")
-    ]
-    fit = api.fit("brdf", tmp_path / "paint.csv")
+    (file,) = write_example("brdf", tmp_path)
+    runs = [metapp(paradigm, "brdf", file, "--json").json_result["out"] for paradigm in ("meta", "quickft")]
+    fit = api.fit("brdf", file)
     pictures = fit.preview()
     assert list(pictures) == ["samples", "predicted", "fit"]
     for name in ("samples", "predicted"):
