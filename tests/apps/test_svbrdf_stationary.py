@@ -1,7 +1,5 @@
 """Stationary svBRDFs: windows, maps, the light of a photo, and that a highlight stays out of the maps."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -19,7 +17,8 @@ from metapp.apps.svbrdf_stationary.app import (
     SvbrdfStationary,
 )
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF, FlashStatistics, encode_gloss
-from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR_WEIGHT, QUICK
+from metapp.apps.svbrdf_stationary.gloss_prior import SvbrdfNearPrior
+from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, QUICK
 from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE, grams_in_windows
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
@@ -31,7 +30,7 @@ from tests.recipe_apps import presenter_of
 
 SIZE = 32
 TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
-KEPT = replace(TINY, prior=2.0)
+KEPT = SvbrdfNearPrior(TINY.network, TINY.octaves, prior=2.0)
 WINDOWS = range(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE)
 
 
@@ -325,7 +324,7 @@ def test_prior_adds_the_mean_square_deviation_from_usual_maps(sources: list[Task
         batch = KEPT.sample(tasks, seeded(), 1)
         found.append(KEPT.loss(theta, batch, {}) - TINY.loss(theta, batch, {}))
     torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * ROUGHNESS_WEIGHT * 2.25]))
-    assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR_WEIGHT)
+    assert [isinstance(recipe.app, SvbrdfNearPrior) for recipe in (QUICK, PAPER, FULL)] == [False, False, True]
 
 
 def test_true_maps_are_permuted_with_their_channels(sources: list[Task]) -> None:

@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import pad
 from typing_extensions import override
 
 from metapp.appearance.colour import DISPLAY_GAMMA
@@ -45,12 +44,7 @@ class SvbrdfStationary(ExemplarApp):
     """The application of stationary svBRDFs: a task is one flash photograph of a flat stationary material.
 
     The generator does not know the place, which keeps highlights out of the maps.
-
-    Attributes:
-        prior: the weight in the loss of the distance of specular and roughness from General's.
     """
-
-    prior: float = 0.0
 
     name = "svbrdf_stationary"
     error_measure = ErrorMeasure(
@@ -83,41 +77,6 @@ class SvbrdfStationary(ExemplarApp):
         order = torch.cat([channels, torch.arange(3, 6, device=channels.device).expand(len(channels), -1)], 1)
         truth = tasks.data["truth"][tasks.rows]
         return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
-
-    @override
-    def init(self, rng: Generator, count: int) -> Params:
-        theta = super().init(rng, count)
-        return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.prior else theta
-
-    @override
-    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        return super().encoder_input(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
-
-    @override
-    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
-        """Add `gloss` [T, 2] if fits have a prior: the mean logits of specular and roughness that it expects."""
-        theta = super().encode(encoder, encoder_input)
-        return self._set_gloss(theta, encoder_input["shine"]) if self.prior else theta
-
-    def _set_gloss(self, theta: Params, shine: Tensor) -> Params:
-        """Shift the mean gloss of General's maps to the gloss that a clear highlight shows, and add it as `gloss`.
-
-        Args:
-            theta: General's parameters.
-            shine: the confidence in the highlight, 0 to 1, and its logits of specular and roughness, [T, 3].
-        """
-        gloss, confidence = self._mean_gloss(theta), shine[:, :1]
-        change = confidence * (shine[:, 1:] - gloss)
-        output_shift = self.network.output_shift
-        return theta | {"gloss": gloss + change, output_shift: theta[output_shift] + pad(change, (3, 1))}
-
-    @torch.no_grad()
-    def _mean_gloss(self, theta: Params) -> Tensor:
-        """Return mean logits of specular and roughness [T, 2] of small maps, from noise that is equal for all tasks."""
-        coarsest = self.octaves.count - 1
-        noise = self.fixed_noise(theta["z"], 1, coarsest)
-        maps = self.generate(theta, noise, coarsest)
-        return torch.stack([values.mean((1, 2, 3, 4)) for values in encode_gloss(maps.specular, maps.roughness)], -1)
 
     def generate_maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Generate maps of materials, and the height that their normals are of.
@@ -166,13 +125,15 @@ class SvbrdfStationary(ExemplarApp):
 
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the distance of pictures from the photo, [T], plus the distance of gloss from the prior's, if any.
+        """Return the distance of pictures from the photo, [T].
 
         Gram matrices in windows, spectra of features and pooled pictures are compared.
         """
-        maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
-        loss = torch.stack(list(self._measure_distances(theta, maps, batch).values())).sum(0)
-        return loss + self.prior * _gloss_deviation(maps, theta["gloss"]) if self.prior else loss
+        return self.loss_of_maps(theta, self.generate(theta, batch["noise"], self.octaves.find_octave(batch)), batch)
+
+    def loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
+        """Return the distance from the photo, [T], of maps [T, B, ...] that fits made of a batch's noise."""
+        return torch.stack(list(self._measure_distances(theta, maps, batch).values())).sum(0)
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
@@ -189,7 +150,7 @@ class SvbrdfStationary(ExemplarApp):
         octave, distances = self.octaves.find_octave(batch), self._measure_distances(theta, maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
         if "truth" not in batch:
-            return loss + UNUSUAL_WEIGHT * _gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
+            return loss + UNUSUAL_WEIGHT * gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.octaves.octave_size(octave)[1] < size for size in STATISTICS_SIDES_PX[:-1])
         truth = batch["truth"][:, level]
         specular, roughness = (truth[:, 0, 3] ** DISPLAY_GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
@@ -234,9 +195,8 @@ class SvbrdfStationary(ExemplarApp):
         return self.octaves.width / self.file_size(size)[1]
 
 
-def _gloss_deviation(maps: Maps, expected: Tensor) -> Tensor:
+def gloss_deviation(maps: Maps, expected: Tensor) -> Tensor:
     """Return the mean squared deviation of specular and, weighted, of roughness from expected logits [T, 2]: [T]."""
-    expected = expected.detach()  # no step moves it
     specular, roughness = (
         (values - expected_values[:, None, None, None, None]).square().mean((1, 2, 3, 4))
         for values, expected_values in zip(encode_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)

@@ -26,8 +26,8 @@ from metapp.apps.exemplar.app import (
     turn_picture,
 )
 from metapp.apps.exemplar.quilted_app import QuiltedExemplarApp
-from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import LEAST_ROUGHNESS, chroma_deviations
+from metapp.apps.svbrdf_stationary.gloss_prior import SvbrdfNearPrior
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import enlarge_grid, fetch_pieces, normalise_quilts, quilt_deviation
@@ -48,7 +48,7 @@ LAYER_CHANNELS = (3, 1, 1, 1)
 
 
 @dataclass(frozen=True)
-class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
+class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfNearPrior):
     """Stationary svBRDFs whose maps a network makes of a quilt of the flash photograph.
 
     A training task may hold `maps` [10, M, M], the true maps over the photograph at its exposure, packed by
@@ -60,7 +60,7 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfStationary):
 
     network: Pyramid = field()
 
-    tensors: ClassVar = SvbrdfStationary.tensors | {"maps": TensorSpec((10, "M", "M"), low=-1, high=1, optional=True)}
+    tensors: ClassVar = SvbrdfNearPrior.tensors | {"maps": TensorSpec((10, "M", "M"), low=-1, high=1, optional=True)}
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:

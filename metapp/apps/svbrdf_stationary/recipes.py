@@ -14,8 +14,6 @@ from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
 from metapp.learning.recipe import Adam, paper_recipe
 from metapp.networks.generators import Pyramid, UNet
 
-# Weight, in fits at 256 texels, of the distance of gloss from General's; without it, gloss takes the place of colour.
-PRIOR_WEIGHT = 0.5
 QUICK = generator_recipe(
     SvbrdfStationary,
     steps=20,
@@ -47,7 +45,6 @@ FULL = replace(
     app=QuiltedSvbrdf(
         Pyramid(16, noise=0, outputs=6, quilt=3),
         Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3, shares=(0.2, 0.6)),
-        prior=PRIOR_WEIGHT,
     ),
 )
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, 3 tasks an outer step
