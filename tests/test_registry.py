@@ -269,10 +269,8 @@ def test_functions_take_the_arguments_of_their_contracts(field: str) -> None:
 def test_hooks_take_the_arguments_of_their_contracts() -> None:
     hooks = registry().hooks
     assert hooks.steps
-    assert hooks.outer_loop
     assert hooks.scene
     inspect.signature(hooks.steps.load()).bind("rule", "loss", "theta", 2, compiles=True)
-    inspect.signature(hooks.outer_loop.load()).bind("paradigm", "training", {}, "tasks", "rng", None)
     inspect.signature(hooks.scene.load()).bind("scene")
 
 

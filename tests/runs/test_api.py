@@ -147,27 +147,6 @@ def test_settings_of_another_kind_are_refused(general: api.Fit, tmp_path: Path, 
             api.load(place)
 
 
-def test_records_of_earlier_versions_are_read(general: api.Fit, tmp_path: Path) -> None:
-    """They have further errors, figures and settings beside the other entries, and do not state a scale."""
-    document = general.record.document()
-    for name in ("scale", "errors", "figures"):
-        document.pop(name, None)
-    document |= {"map": 0.2, "albedo": [0.1, 0.2, 0.3], "mean_tilt_degrees": 3.0}
-    document["settings"]["precision"] = "float32"
-    save_file(general.parameters, tmp_path / "a.safetensors", {RECORD: json.dumps(document)})
-    folder = tmp_path / "run" / "a"
-    write_fit(folder.parent, replace(general.record, name="a"), general.parameters)
-    (folder / RECORD).write_text(json.dumps(document))
-    for place in (folder, tmp_path / "a.safetensors"):
-        fit = api.load(place)
-        assert fit.errors == {"error": general.error, "map": 0.2}
-        assert fit.record.figures == {"albedo": [0.1, 0.2, 0.3], "mean_tilt_degrees": 3.0}
-        assert fit.record.settings.further["precision"] == "float32"
-        assert fit.settings == general.settings | {"precision": "float32"}
-        again = api.load(fit.save(tmp_path / "again.safetensors"))  # as records are written now
-        assert replace(again.record, folder="") == replace(fit.record, folder="")
-
-
 def test_completion_lists_the_api_alone() -> None:
     assert dir(api) == ["Fit", "__version__", "fit", "fit_all", "load"]
 

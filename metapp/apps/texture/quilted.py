@@ -63,11 +63,15 @@ class QuiltedTexture(QuiltedExemplarApp, Texture):
         return move_tiles(self.network(theta, theta["quilt"]), noise)
 
     @override
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """Add the quilts. The loss reads them here, since theta_0 of Meta has none without an encoder."""
+        return super().sample(tasks, rng, count) | {"quilt": tasks.data["quilt"][tasks.rows]}
+
+    @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the relative L1 distance of Gram matrices, [T], plus CHANGE_WEIGHT times the squared change."""
-        quilt = theta["quilt"].detach()  # no step moves it
-        tiles = self.network(theta, quilt)
-        change = (tiles - quilt.clamp(0, 1)).square().mean((-1, -2, -3))
+        tiles = self.network(theta, batch["quilt"])
+        change = (tiles - batch["quilt"].clamp(0, 1)).square().mean((-1, -2, -3))
         pictures = move_tiles(tiles, batch["noise"])
         return self.statistics.gram_distance(pictures, batch) + CHANGE_WEIGHT * change
 
