@@ -128,7 +128,7 @@ def mitsuba_bsdfs(registry: Registry) -> None:
 
 
 def native(registry: Registry) -> None:
-    """Register steps of learning in C, and compiled by torch, and the outer loop of Meta-SGD in C."""
+    """Register steps of learning in C, and compiled by torch, and gradients of outer steps of Meta-SGD in C."""
     registry.hooks.steps = Lazy(f"{_HERE}.native.step_choice:choose_steps")
 
 

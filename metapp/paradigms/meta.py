@@ -48,7 +48,7 @@ class Meta(Paradigm):
         Args:
             app: the application.
             recipe: the settings.
-            rule: the name of a learned rule or a composition; "" for the recipe's default rule.
+            rule: the name of a learned rule; "" for the recipe's default rule.
             steps: the number of gradient steps; None for the recipe's number.
         """
         return cls(app, recipe, cls._steps(recipe, steps), rule_of(rule or recipe.rule))

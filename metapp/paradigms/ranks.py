@@ -60,6 +60,11 @@ def connect_ranks(device: torch.device) -> Iterator[None]:
     finally:
         with contextlib.suppress(RuntimeError):  # other ranks may have ended
             dist.destroy_process_group()
+    end_other_ranks()
+
+
+def end_other_ranks() -> None:
+    """End the process, with exit code 0, in all ranks but rank 0."""
     if rank_number() > 0:
         raise SystemExit(0)
 

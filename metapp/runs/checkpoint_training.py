@@ -6,7 +6,6 @@ together, progress, and the files that later runs read.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
 from dataclasses import asdict, replace
@@ -31,7 +30,7 @@ from metapp.runs.checkpoint_selection import (
 from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, software_versions
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
-from metapp.runs.reporter import Reporter, progress, say, use_reporter
+from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import (
     load_checkpoint,
@@ -48,8 +47,7 @@ SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints, unless METAPP_
 
 def train_and_load(choice: Choice) -> Checkpoint:
     """Train the checkpoint that fits need, and read it; ranks but the first end after training."""
-    silence = contextlib.nullcontext() if ranks.rank_number() == 0 else use_reporter(Reporter())
-    with silence, ranks.connect_ranks(choice.device):
+    with ranks.connect_ranks(choice.device):
         path, general = train_checkpoint(choice)
     # the trained file holds no encoder, and its General may be the one that ships, which lies in another folder
     if general and choice.paradigm.trainings[-1].takes_encoder_from_general:

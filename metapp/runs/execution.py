@@ -6,6 +6,7 @@ progress go to the reporter.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from typing import NamedTuple
 
 import torch
 
+from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, torch_defaults
@@ -23,7 +25,7 @@ from metapp.runs.inputs.run_inputs import Input, find_inputs
 from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, tiles_of_fit, write_run_sheet
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
-from metapp.runs.reporter import Bar, progress, say
+from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
 from metapp.storage.files import DISK_FULL_ERRNOS, error_about_file, error_text
 from metapp.storage.fit_records import FitRecord, summary
 from metapp.storage.fit_store import FitStore
@@ -105,7 +107,10 @@ def execute(choice: Choice, provide: Callable[[Choice], Checkpoint] = find_check
         Exception: an error that ends the fits, see :func:`_keep_fits`.
     """
     options = choice.options
-    with torch_defaults(single=choice.app.small_tensors):
+    if not options.train:
+        ranks.end_other_ranks()
+    silence = use_reporter(Reporter()) if ranks.rank_number() > 0 else contextlib.nullcontext()
+    with torch_defaults(single=choice.app.small_tensors), silence:
         make_folder(options.out)
         inputs, label = find_inputs(choice)
         checkpoint = provide(choice)

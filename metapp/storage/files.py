@@ -22,6 +22,7 @@ import shutil
 import stat
 import tempfile
 import time
+import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 PARTIAL_PREFIX = ".partial-"  # the beginning of the name of an unfinished file
-_STALE_SECONDS = 3600.0  # after which an unfinished file that nobody has written to was left by a killed program
+_STALE_SECONDS = 86400.0  # after which an unfinished file that nobody has written to was left by a killed program
 MAX_NAME_BYTES = 100  # of a task's name; file systems take 255, of which suffixes and temporary names need some
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 _UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
@@ -146,7 +147,7 @@ def placeholder_line(path: Path) -> str:
     """
     try:
         with open_regular(path) as file:
-            start = file.read(_PLACEHOLDER_BYTES).lstrip().lower()
+            start = file.read(_PLACEHOLDER_BYTES).removeprefix(codecs.BOM_UTF8).lstrip().lower()
     except (OSError, ValueError):  # whoever reads the file will say that it cannot be read
         return ""
     return next((f"{path}: {line}" for beginnings, line in _PLACEHOLDERS if start.startswith(beginnings)), "")
@@ -277,11 +278,17 @@ def partial_path(path: Path) -> Path:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove the unfinished files and folders in a folder that killed programs left more than an hour ago."""
+    """Remove the unfinished files and folders in a folder that killed programs left more than a day ago."""
     for unfinished in folder.glob(f"{PARTIAL_PREFIX}*"):
-        with contextlib.suppress(FileNotFoundError):  # another program has finished or removed it since
-            if time.time() - unfinished.stat().st_mtime > _STALE_SECONDS:
-                shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
+        if not re.fullmatch(rf"{re.escape(PARTIAL_PREFIX)}[0-9a-f]{{8}}-.+", unfinished.name, re.DOTALL):
+            continue  # a user's file
+        with contextlib.suppress(OSError):  # another program has finished it since, or another user owns it
+            status = unfinished.lstat()
+            if time.time() - status.st_mtime > _STALE_SECONDS:
+                if stat.S_ISDIR(status.st_mode):
+                    shutil.rmtree(unfinished, ignore_errors=True)
+                else:
+                    unfinished.unlink()
 
 
 def error_about_file(error: Exception, source: Path) -> ValueError:
@@ -332,7 +339,8 @@ def printable_name(name: str) -> str:
     >>> printable_name("old gold"), printable_name("old" + chr(10) + "gold")
     ('old gold', 'old_gold-1c7b39')
     """
-    return _add_digest_if_changed("".join(c if c.isprintable() else "_" for c in name), name)
+    printable = "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else "_" for c in name)
+    return _add_digest_if_changed(printable, name)
 
 
 def file_name(name: str) -> str:

@@ -110,7 +110,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         manifest = msgspec.json.decode(content, type=Manifest)
         fault = _fault_of_manifest(manifest)
     except (msgspec.MsgspecError, RecursionError) as error:
-        fault = f"no manifest, expected that of a data set ({error})"
+        fault = f"damaged, expected the manifest of a data set ({error})"
     if fault:
         raise ValueError(f"{path}: {fault}; convert the data again.")
     return manifest
@@ -280,7 +280,7 @@ def _check_task(
         raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
     if not task.name.strip():
         raise ValueError(f"{subject}: a task with an empty name; give it one.")
-    if any(entry.name == task.name for entry in previous):
+    if any(to_json_value(entry.name) == to_json_value(task.name) for entry in previous):
         raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
     if not task.data:
         raise ValueError(f"{task.name}: a task without tensors.")
@@ -295,12 +295,15 @@ def _require_replaceable(folder: Path, app: str, overwrite: bool) -> Manifest | 
     """Return the manifest of the data set in a folder, which is to be replaced; None if there is none.
 
     Raises:
-        ValueError: the data set is of another application, or must not be overwritten.
+        ValueError: the data set is of another application, or must not be overwritten; the manifest is damaged, of a
+            newer version or of another program.
     """
+    if not (folder / MANIFEST).exists():
+        return None
     try:
         manifest = read_manifest(folder)
-    except ValueError:  # the folder holds no data set
-        return None
+    except ValueError as error:
+        raise ValueError(f"{error} To keep what is there, choose another folder.") from None
     if manifest.app != app:
         raise ValueError(
             f"{folder}: holds tasks of '{manifest.app}', expected an empty folder or tasks of '{app}'; choose another "

@@ -325,9 +325,9 @@ def embed(monkeypatch: pytest.MonkeyPatch, app: str, name: str) -> None:
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     embed(monkeypatch, "brdf", "INTERRUPTED")
-    stale = cache / "data" / ".partial-1a2b-brdf"
+    stale = cache / "data" / ".partial-1a2b3c4d-brdf"
     stale.mkdir(parents=True)
-    os.utime(stale, (time.time() - 7200,) * 2)
+    os.utime(stale, (time.time() - 2 * 86400,) * 2)
     with pytest.raises(KeyboardInterrupt):
         make_embedded_set(application("brdf"), quiet=True)
     assert list((cache / "data").iterdir()) == []

@@ -364,7 +364,7 @@ def test_meta_is_compared_with_general_where_overfit_sees_less() -> None:
     errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
     rows = [
         {"paradigm": name, "error": error, "shared_error": error, "few": False, "seconds": 1.0}
-        | {"rule": "tied", "paper_error": None, "paper_seconds": None}
+        | {"rule": "meta-encoder", "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
 

@@ -25,7 +25,8 @@ def cache_with_matrix(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("matrix")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("METAPP_CACHE", str(folder))
-        transfer_matrix(ROWS, COLUMNS, paths_per_pixel=4096)
+        patch.setattr(relighting, "PATHS_PER_PIXEL", 4096)
+        transfer_matrix(ROWS, COLUMNS)
     return folder
 
 
@@ -99,7 +100,7 @@ def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: 
 def test_the_matrix_is_built_once_and_again_if_damaged(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[int, int]] = []
     result = torch.rand(6, 8)
-    monkeypatch.setattr(relighting, "_build_matrix", lambda height, width, _: calls.append((height, width)) or result)
+    monkeypatch.setattr(relighting, "_build_matrix", lambda height, width: calls.append((height, width)) or result)
     for size in ((2, 4), (2, 4), (4, 2)):
         assert torch.equal(transfer_matrix(*size), result)
     assert calls == [(2, 4), (4, 2)]

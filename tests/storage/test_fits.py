@@ -139,8 +139,13 @@ def test_unfinished_files_of_killed_programs_are_removed(tmp_path: Path) -> None
         file.touch()
     for unfinished in (path, left, left_folder):
         os.utime(unfinished, (0, 0))
+    others = [tmp_path / f".partial-{name}" for name in ("results", "1a2b3c4d-of-a-link")]
+    others[0].mkdir()
+    others[1].symlink_to(others[0])
+    for other in others:
+        os.utime(other, (0, 0), follow_symlinks=False)
     remove_partial(tmp_path)
-    assert sorted(tmp_path.iterdir()) == sorted([written, path])
+    assert sorted(tmp_path.iterdir()) == sorted([written, path, others[0]])  # a link goes, a user's folder stays
 
 
 # Names

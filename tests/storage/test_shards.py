@@ -166,7 +166,7 @@ def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch
 
 def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
     folder = make_shard(tmp_path, ("gold", "silver"))
-    unfinished = folder / ".partial-1a2b-tasks"
+    unfinished = folder / ".partial-1a2b3c4d-tasks"
     unfinished.mkdir()
     os.utime(unfinished, (0, 0))
     with pytest.raises(ValueError, match="holds a data set of 2 tasks, expected a new folder; add --overwrite"):
@@ -270,14 +270,14 @@ def test_manifests_are_read_as_they_are(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"schema": 2}, "schema 2, written by a newer metapp, expected 1; update metapp"),
-        ({"schema": True}, r"no manifest, .*Expected `int`, got `bool` - at `\$.schema`"),
+        ({"schema": True}, r"damaged, .*Expected `int`, got `bool` - at `\$.schema`"),
         ({"schema": 0}, "schema 0, expected 1; convert the data again"),
         ({"app": None}, r"Expected `str`, got `null` - at `\$.app`"),
         ({"tasks": [3]}, r"Expected `object`, got `int` - at `\$.tasks\[0\]`"),
         ({"tasks": [{"name": "gold"}]}, "file '', expected the plain name"),
         ({"tasks": [asdict(GOLD) | {"name": "silver"}, asdict(SILVER)]}, "two tasks have the same name"),
         *(
-            (content, "no manifest, expected that of a data set")
+            (content, "damaged, expected the manifest of a data set")
             for content in (b"{", b"\xff\xfe", b"", b"[" * 100_000)
         ),
     ],
@@ -289,6 +289,10 @@ def test_damaged_manifests_are_refused(tmp_path: Path, changes: dict[str, object
         write(tmp_path, **changes)
     with pytest.raises(ValueError, match=message):
         read_manifest(tmp_path)
+    before = (tmp_path / "manifest.json").read_bytes()
+    with pytest.raises(ValueError, match="To keep what is there, choose another folder"):
+        make_shard(tmp_path, ("tin",))
+    assert (tmp_path / "manifest.json").read_bytes() == before
 
 
 @pytest.mark.parametrize(

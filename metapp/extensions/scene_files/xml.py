@@ -76,6 +76,7 @@ class ParsedScene(NamedTuple):
             line = lines[int(place[1]) - 1]
             begin = int(place[2]) - 2  # Mitsuba's column counts bytes from 1, and is the column of the tag's name
             element = line[begin : line.find(b">", begin) + 1].decode(errors="replace")
+            element = "".join(character if character.isprintable() else "?" for character in element)
             reason = f"{reason[: place.start()]}line {place[1]}, {element:.80}: {reason[place.end() :]}"
         unknown = isinstance(error, UnsupportedPluginError) or "that Mitsuba can load: " in reason
         if unknown and _is_old(self.version):
@@ -98,12 +99,13 @@ def parse_xml(text: str, places: ScenePlaces, name: str = "") -> ParsedScene:
     builder = _DocumentBuilder(places)
     try:
         builder.add_document(text, (name,))
-        state = _parse_document(builder.text)
+        document = builder.text
+        state = _parse_document(document)  # Mitsuba's nodes refer to the text, which must live as long as they do
     except UnsupportedPluginError as error:
         raise ValueError(ParsedScene({}, builder.text, builder.version).explain(error)) from None
     reader = _NodeReader(state)
     scene = reader.read_object(0, ())
-    return ParsedScene(scene, builder.text, builder.version, state, reader.node_indices)
+    return ParsedScene(scene, document, builder.version, state, reader.node_indices)
 
 
 def _parse_document(text: str) -> ParserState:
@@ -154,7 +156,8 @@ class _NodeReader:
             if name in ("type", "id"):
                 raise ValueError(f"a parameter named {name!r}, expected another name; leave it out.")
             if parameters.type(name).name != "ResolvedReference":
-                result[name] = self._read_value(value, parameters.type(name).name)
+                if path:  # a scene has no parameters
+                    result[name] = self._read_value(value, parameters.type(name).name)
                 continue
             # names at the root mean nothing, and may be the ids of other objects; keys have no points
             has_key = path and "." not in name

@@ -26,18 +26,17 @@ from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import read_tensors, write_bytes
 
 MATRIX_VERSION = 1  # version of the scene and its matrix, in the name of the cached file
-PATHS_PER_PIXEL = 16384
+PATHS_PER_PIXEL = 16384  # paths from each pixel to the light, spread over the texels
 
 _BOUNCES = 4  # bounces of light between patches; further ones would add 0.1 % of the light
 
 
-def transfer_matrix(height: int = 32, width: int = 64, *, paths_per_pixel: int = PATHS_PER_PIXEL) -> Tensor:
+def transfer_matrix(height: int = 32, width: int = 64) -> Tensor:
     """Return the scene as a matrix, from the cache, or else built now, in about 20 s on one core.
 
     Args:
         height: rows of the maps, even.
         width: columns of the maps.
-        paths_per_pixel: paths from each pixel to the light, spread over the texels, if the matrix is built.
 
     Returns:
         [P, N] float32, >= 0, with the pixels P and the texels N in row-major order, the same for each colour:
@@ -51,7 +50,7 @@ def transfer_matrix(height: int = 32, width: int = 64, *, paths_per_pixel: int =
     path = matrix_file(height, width)
     with suppress(OSError, SafetensorError, KeyError):  # the file is missing or damaged
         return _load_matrix(path, path.stat().st_mtime_ns)
-    matrix = _build_matrix(height, width, paths_per_pixel)
+    matrix = _build_matrix(height, width)
     write_bytes(path, save({"matrix": matrix}))
     return matrix
 
@@ -82,13 +81,13 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
     return pictures
 
 
-def _build_matrix(height: int, width: int, paths_per_pixel: int) -> Tensor:
+def _build_matrix(height: int, width: int) -> Tensor:
     """Build the matrix by tracing paths: light of the map on surfaces, then light of patches that it lights."""
     load_mitsuba()
     from metapp.rendering.second_scene.paths import MATRIX_ROWS, PICTURE_PIXELS, TransferPaths
 
     paths = TransferPaths()
-    passes = math.ceil(paths_per_pixel / (height // 2 * width))
+    passes = math.ceil(PATHS_PER_PIXEL / (height // 2 * width))
     lit = torch.zeros(MATRIX_ROWS, height // 2 * width)
     for number in range(passes):
         lit += paths.trace_to_texels(height, width, number) / passes

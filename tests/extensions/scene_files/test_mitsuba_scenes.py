@@ -217,6 +217,15 @@ def test_what_mitsuba_cannot_load_is_named_by_the_line_of_the_users_file(tmp_pat
 
 
 @needs_mitsuba
+def test_a_scene_in_memory_is_explained_by_its_own_text(mitsuba: Any) -> None:
+    """Mitsuba's nodes refer to the text that it parsed: it must live as long as they do."""
+    text = xml("\n\n" + ball('<bsdf type="nope" id="größe"/>'))
+    for _ in range(3):
+        with pytest.raises(ValueError, match=r'line \d+, <bsdf type="nope"[^>]*>: a plugin .nope.'):
+            resolve_scene_in_memory(text, "scene")
+
+
+@needs_mitsuba
 def test_an_environment_is_a_light(tmp_path: Path) -> None:
     sky = '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter>'
     task = read_task(write(tmp_path / "sky.xml", xml(CAMERA, ball(""), sky)), samples=500, held_out=500)
