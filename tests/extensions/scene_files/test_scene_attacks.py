@@ -1,6 +1,7 @@
 """Scene files that are no scenes, or made to run code, read files, end the process or hang it: refused in a line."""
 
 import ctypes
+import importlib.util
 import json
 import os
 import re
@@ -115,9 +116,11 @@ def test_no_scene_runs_a_library(name: str, tmp_path: Path, evil: Callable[[Path
 @pytest.mark.long
 def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
     """Mitsuba looks in the folder that it is started in first; all that we do with a scene, its later plugins too."""
-    import mitsuba
-
-    for plugin in (Path(mitsuba.__file__).parent / "plugins").iterdir():
+    # without importing Mitsuba, which in this process would go on looking in this test's folder
+    spec = importlib.util.find_spec("mitsuba")
+    assert spec is not None
+    assert spec.origin is not None
+    for plugin in (Path(spec.origin).parent / "plugins").iterdir():
         mark = evil(tmp_path, plugin.stem)
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
