@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from typing_extensions import override
 
-from metapp.learning.task import Params
+from metapp.learning.task import Params, select_prefixed
 
 AnyData = Any  # the source that a loss draws samples from, most often tasks
 AnyBatch = Any  # drawn samples: tensors by name, or a tuple of such batches
@@ -113,7 +113,7 @@ def select_loss_parameters(alpha: Params) -> Params:
     >>> select_loss_parameters({"rate": torch.ones(1), "loss.smoothing": torch.zeros(1)})
     {'smoothing': tensor([0.])}
     """
-    return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+    return select_prefixed(alpha, "loss.")
 
 
 def add_smoothing(loss: Loss, loss_parameters: Params, theta: Params) -> Params:

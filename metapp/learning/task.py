@@ -39,6 +39,15 @@ class Task(NamedTuple):
     note: str = ""
 
 
+def select_prefixed(params: Params, prefix: str) -> Params:
+    """Select the parameters whose names begin with a prefix, under their names without it.
+
+    >>> select_prefixed({"encoder.w": torch.ones(1), "decoder.w": torch.zeros(1)}, "encoder.")
+    {'w': tensor([1.])}
+    """
+    return {name.removeprefix(prefix): value for name, value in params.items() if name.startswith(prefix)}
+
+
 def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return tensors, such as the parameters of one fit or the data of one task, with a task axis of one entry.
 

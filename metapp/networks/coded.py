@@ -13,7 +13,8 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.learning.composed import Encoder
-from metapp.learning.task import Batch, Params
+from metapp.learning.learn import expand_tasks
+from metapp.learning.task import Batch, Params, select_prefixed
 from metapp.networks.field import LocalField, regrid
 
 
@@ -64,12 +65,12 @@ def join_encoder(reader: Params, theta: Params, predicted: Collection[str]) -> P
 
 def select_reader(encoder: Params) -> Params:
     """Select the reader's parameters, by name, from General's: those called `encoder.<name>`."""
-    return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
+    return select_prefixed(encoder, "encoder.")
 
 
 def select_decoder(encoder: Params) -> Params:
     """Select the parameters that all tasks share, by name, from General's: those called `decoder.<name>`."""
-    return {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
+    return select_prefixed(encoder, "decoder.")
 
 
 def add_decoder(predicted: Params, encoder: Params) -> Params:
@@ -82,6 +83,4 @@ def add_decoder(predicted: Params, encoder: Params) -> Params:
     Returns:
         All parameters of the network, [T, ...].
     """
-    shared = select_decoder(encoder)
-    count = len(next(iter(predicted.values())))
-    return predicted | {key: value.expand(count, *value.shape) for key, value in shared.items()}
+    return predicted | expand_tasks(select_decoder(encoder), len(next(iter(predicted.values()))), 0)

@@ -11,7 +11,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping
 from pathlib import Path
 
 import msgspec
@@ -217,12 +217,14 @@ def write_data_set(
     new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     partial.mkdir(parents=True)
     entries: list[ManifestEntry] = []
+    names: set[str] = set()
     tensor_names: set[str] = set()
     # the text beside a task "manifest" would take the name of the manifest
     file_names = {MANIFEST.replace(".json", SHARD_SUFFIX)} if beside else set()
     try:
         for task, split, source in tasks:
-            _check_task(task, split, units, entries, source or folder)
+            _check_task(task, split, units, names, source or folder)
+            names.add(to_json_value(task.name))
             tensor_names |= set(task.data)
             # each tensor is copied, since safetensors refuses tensors that share memory
             layout = torch.contiguous_format
@@ -260,16 +262,14 @@ def write_data_set(
     return entries
 
 
-def _check_task(
-    task: Task, split: str, units: Mapping[str, str], previous: Sequence[ManifestEntry], subject: str | Path
-) -> None:
+def _check_task(task: Task, split: str, units: Mapping[str, str], names: Collection[str], subject: str | Path) -> None:
     """Refuse a task that a data set cannot hold.
 
     Args:
         task: the task.
         split: its split.
         units: the units of tensors, by name.
-        previous: the entries of tasks that are written already, whose names must differ.
+        names: the names, as JSON holds them, of tasks that are written already; they must differ.
         subject: what a message names if the task has no name.
 
     Raises:
@@ -280,7 +280,7 @@ def _check_task(
         raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
     if not task.name.strip():
         raise ValueError(f"{subject}: a task with an empty name; give it one.")
-    if any(to_json_value(entry.name) == to_json_value(task.name) for entry in previous):
+    if to_json_value(task.name) in names:
         raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
     if not task.data:
         raise ValueError(f"{task.name}: a task without tensors.")

@@ -12,6 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad
 from typing_extensions import override
 
+from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary, gloss_deviation
 from metapp.apps.svbrdf_stationary.flash_statistics import encode_gloss
 from metapp.learning.task import Batch, Params, Tasks
@@ -56,7 +57,6 @@ class SvbrdfNearPrior(SvbrdfStationary):
         return torch.stack([values.mean((1, 2, 3, 4)) for values in encode_gloss(maps.specular, maps.roughness)], -1)
 
     @override
-    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the distance of pictures from the photo, [T], plus the distance of gloss from the expected one."""
-        maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
-        return self.loss_of_maps(theta, maps, batch) + self.prior * gloss_deviation(maps, theta["gloss"].detach())
+    def loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
+        """Add the distance of gloss from the expected one."""
+        return super().loss_of_maps(theta, maps, batch) + self.prior * gloss_deviation(maps, theta["gloss"].detach())

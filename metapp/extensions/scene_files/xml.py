@@ -263,7 +263,7 @@ class _DocumentBuilder:
             raise ValueError(f"not readable as XML ({error}), expected a scene of Mitsuba 3.") from None
 
     def _check_version(self, tag: str, version: str, is_included: bool) -> None:
-        """Check the version that the root of a document states, and keep that of the scene's own document."""
+        """Check the version that the root of a document states, and keep the version of the scene's own document."""
         if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
             raise ValueError(f"a version {version[:20]!r} of <{tag[:20]}>, expected one such as 3.0.0; add it.")
         if not is_included:

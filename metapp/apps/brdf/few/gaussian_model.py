@@ -21,6 +21,7 @@ from typing_extensions import override
 from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf.brdf_network import BrdfNetwork, DistinctSamples, PlainLayers, opponent_axes
 from metapp.apps.brdf.feature_network import ISOTROPIC_INPUTS, isotropic_inputs
+from metapp.learning.learn import expand_tasks
 from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 
@@ -176,7 +177,7 @@ class Few(BrdfNetwork):
         deviations = torch.tensor([LUMINANCE_DEVIATION, COLOUR_DEVIATION, COLOUR_DEVIATION], device=rng.device).log()
         theta["deviation"] = deviations[:, None].expand_as(theta["last"]).contiguous()
         theta["noise"] = torch.tensor(INITIAL_NOISE, device=rng.device)
-        return {key: value.expand(count, *value.shape) for key, value in theta.items()}
+        return expand_tasks(theta, count, 0)
 
     @override
     def init_encoder(self, rng: Generator) -> Params:

@@ -35,7 +35,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
     OVERVIEW_PX,
     PATCH_KEYS,
     SIDE_STEP_PX,
-    full_field_weights,
+    load_full_general,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     add_polish,
@@ -43,8 +43,9 @@ from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
     predict_roughness,
 )
 from metapp.learning.composed import Encoder
+from metapp.learning.learn import expand_tasks
 from metapp.learning.task import Batch, Params
-from metapp.networks.coded import add_decoder, join_encoder, select_reader
+from metapp.networks.coded import add_decoder, join_encoder, select_decoder, select_reader
 from metapp.networks.field import LocalField
 from metapp.networks.layers import add_layer
 
@@ -87,7 +88,7 @@ class FeatureEncoder(Encoder[Any]):
         photo, count = seen.photo, len(seen.photo)
         is_final = photo.new_full((count, 1, 1, 1), float(seen.slopes_are_final))
         selected = {"photo": photo, "inputs": seen.inputs, "camera_height": seen.camera_height}
-        weights = mark_second(full_field_weights(count, photo.device))
+        weights = mark_second(expand_tasks(select_decoder(load_full_general(photo.device)), count, 0))
         patch: Params = seen.describe_patch()
         return selected | {"slopes_are_final": is_final} | patch | weights
 

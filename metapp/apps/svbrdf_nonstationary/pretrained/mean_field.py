@@ -17,7 +17,7 @@ from metapp.apps.svbrdf_nonstationary.flashes import Flash
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.patch import FULL_DECODER
-from metapp.learning.task import Params
+from metapp.learning.task import Params, select_prefixed
 
 SECOND_PREFIX = "full."  # of names of the second field's parameters beside the first field's
 SECOND_SHARE = 0.5  # weight of the second field in diffuse colour, roughness and specular colour; it has none in slopes
@@ -132,7 +132,7 @@ def mark_second(second: Params) -> Params:
 
 def select_second(theta: Params) -> Params:
     """Select the parameters that :func:`mark_second` marked, by their own names."""
-    return {name.removeprefix(SECOND_PREFIX): value for name, value in theta.items() if name.startswith(SECOND_PREFIX)}
+    return select_prefixed(theta, SECOND_PREFIX)
 
 
 def mix_outputs(first: Tensor, second: Tensor) -> Tensor:

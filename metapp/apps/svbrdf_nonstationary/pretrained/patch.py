@@ -18,7 +18,6 @@ from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.task import Params
-from metapp.networks.coded import select_decoder
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
 
@@ -50,12 +49,6 @@ def describe_patch(photos: Tensor) -> Params:
     guess = torch.cat([maps.roughness, *log_reflectances], 1)
     description = {"overview": overview, "highlight": describe_highlight(photos), "guess": guess}
     return description | {"code": theta["z"], "flash": theta["flash"]}
-
-
-def full_field_weights(count: int, device: torch.device) -> Params:
-    """Return the parameters of the field of the recipe "full" that all tasks share, [count, ...] each."""
-    weights = select_decoder(load_full_general(device))
-    return {name: value.expand(count, *value.shape) for name, value in weights.items()}
 
 
 @functools.cache
