@@ -111,8 +111,8 @@ def _draw_picture(module: ModuleType, family: str, key: str, seed: int) -> Tenso
 
 
 def _write_illumination(map_file: Path, ball_file: Path) -> None:
-    """Write a courtyard's map, and a photo of a mirror ball in it as a phone shows it: the brightest px are clipped."""
-    light = illumination.draw_environment_map(illumination.FAMILIES["courtyard"], random_stream(_SEED, 1), rows=_ROWS)
+    """Write a lobby's map, and a photo of a mirror ball in it as a phone shows it: the brightest px are clipped."""
+    light = illumination.draw_environment_map(illumination.FAMILIES["lobby"], random_stream(_SEED, 1), rows=_ROWS)
     write_exr(light.permute(1, 2, 0), map_file)
     coordinates = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
     disc = np.stack(np.meshgrid(coordinates / _BALL, -coordinates / _BALL))
@@ -157,6 +157,6 @@ EXAMPLES: Mapping[str, Example] = {
     "texture": Example(("bricks.png",), _write_texture),
     "svbrdf_stationary": Example(("leather.png",), _write_svbrdf_stationary),
     "svbrdf_nonstationary": Example(("mosaic.png",), _write_svbrdf_nonstationary),
-    "illumination": Example(("courtyard.exr", "ball.png"), _write_illumination),
+    "illumination": Example(("lobby.exr", "ball.png"), _write_illumination),
     "transport": Example(("box.xml",), _write_transport),
 }

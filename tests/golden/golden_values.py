@@ -86,12 +86,12 @@ def write_input_files(folder: Path) -> Iterator[tuple[str, Path, dict[str, objec
     yield from ((app, folder / name, {}) for app, name in names.items())
     yield "svbrdf_nonstationary", folder / "mosaic.png", {"observe": "photo"}
     yield "illumination", folder / "ball.png", {"observe": "photo"}
-    yield "illumination", folder / "courtyard.exr", {}
+    yield "illumination", folder / "lobby.exr", {}
     yield "transport", folder / "box.xml", {}
     for suffix, kind in ((".hdr", oiio.FLOAT), (".tif", oiio.HALF)):
-        picture = oiio.ImageBuf(str(folder / "courtyard.exr"))
-        picture.write(str(folder / f"courtyard{suffix}"), kind)
-        yield "illumination", folder / f"courtyard{suffix}", {}
+        picture = oiio.ImageBuf(str(folder / "lobby.exr"))
+        picture.write(str(folder / f"lobby{suffix}"), kind)
+        yield "illumination", folder / f"lobby{suffix}", {}
     oiio.ImageBuf(str(folder / "bricks.png")).write(str(folder / "sixteen.tif"), oiio.UINT16)
     yield "texture", folder / "sixteen.tif", {}
     run_metapp("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", folder / "merl", "--quiet")
@@ -137,7 +137,7 @@ def measure_default_fits(folder: Path) -> Values:
     """Fit the example inputs by Meta and the default recipe; return summaries of parameters, and errors."""
     run_metapp("examples", "--make", folder)
     names = {"brdf": "paint.csv", "texture": "bricks.png", "svbrdf_stationary": "leather.png"}
-    names |= {"svbrdf_nonstationary": "mosaic.png", "illumination": "courtyard.exr", "transport": "box.xml"}
+    names |= {"svbrdf_nonstationary": "mosaic.png", "illumination": "lobby.exr", "transport": "box.xml"}
     values: Values = {}
     for app, name in names.items():
         (fit,) = fit_all(app, [folder / name], **({"observe": "photo"} if name == "mosaic.png" else {}))

@@ -17,14 +17,14 @@ BRDF_EXAMPLES = (
     ),
 )
 ILLUMINATION_EXAMPLES = (
-    ("general illumination {}/courtyard.exr", "an environment map as a network, by one forward pass"),
+    ("general illumination {}/lobby.exr", "an environment map as a network, by one forward pass"),
     (
-        "meta illumination {}/courtyard.exr --size 256x512",
+        "meta illumination {}/lobby.exr --size 256x512",
         "a map fitted in a few learned steps, as EXR of 256 rows",
     ),
     ("meta illumination {}/ball.png", "an HDR map of one LDR photo of a mirror ball"),
     ("data ball {}/ball.png --out {}/ball", "the light that the ball mirrors, without a network"),
-    ("baseline illumination {}/courtyard.exr --method sh", "the map as spherical harmonics, to compare"),
+    ("baseline illumination {}/lobby.exr --method sh", "the map as spherical harmonics, to compare"),
 )
 SVBRDF_NONSTATIONARY_EXAMPLES = (
     (

@@ -52,7 +52,7 @@ def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_pa
     assert [file.name for file in EXAMPLE_INPUTS_FOLDER.iterdir()] == ["bricks.png"]
     result = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").json_document
     assert len(result["commands"]) == 5
-    assert [Path(file).name for file in result["files"]] == ["courtyard.exr", "ball.png"]
+    assert [Path(file).name for file in result["files"]] == ["lobby.exr", "ball.png"]
     assert shlex.split(result["commands"][0]["command"])[-1] == result["files"][0]
 
 
