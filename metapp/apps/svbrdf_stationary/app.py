@@ -15,10 +15,7 @@ from typing_extensions import override
 from metapp.appearance.colour import DISPLAY_GAMMA
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import STATISTICS_SIDES_PX, Maps, map_statistics
-from metapp.apps.exemplar.app import (
-    ExemplarApp,
-    PictureChanges,
-)
+from metapp.apps.exemplar.app import ExemplarApp, PictureChanges
 from metapp.apps.svbrdf_stationary.flash_statistics import (
     LEAST_ROUGHNESS,
     SPECULAR_LOGIT,
@@ -133,39 +130,34 @@ class SvbrdfStationary(ExemplarApp):
 
     def loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
         """Return the distance from the photo, [T], of maps [T, B, ...] that fits made of a batch's noise."""
-        return torch.stack(list(self._measure_distances(theta, maps, batch).values())).sum(0)
+        pictures = self.statistics.render_prediction(maps, batch)
+        return torch.stack(list(self.compare_pictures(theta, pictures, batch).values())).sum(0)
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T].
-
-        Where the true maps are unknown, the deviation of gloss from a usual one counts instead. Without either, General
-        comes to explain all photographs by one bright, rough, specular surface without colour.
-        """
+        """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T]."""
         maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
-        return self.outer_loss_of_maps(theta, maps, batch)
+        distances = self.compare_pictures(theta, self.statistics.render_prediction(maps, batch), batch)
+        picture_loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
+        return picture_loss + self.map_loss(maps, batch)
 
-    def outer_loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
-        """Return the outer loss, [T], of maps [T, B, ...] that fits made of a batch's noise; see :meth:`outer_loss`."""
-        octave, distances = self.octaves.find_octave(batch), self._measure_distances(theta, maps, batch)
-        loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
+    def map_loss(self, maps: Maps, batch: Batch) -> Tensor:
+        """Return the difference of maps [T, B, ...] from the statistics of the true ones, [T].
+
+        Where the true maps are unknown, it is the deviation of gloss from a usual one. Without either, General comes to
+        explain all photographs by one bright, rough, specular surface without colour.
+        """
         if "truth" not in batch:
-            return loss + UNUSUAL_WEIGHT * gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
-        level = sum(self.octaves.octave_size(octave)[1] < size for size in STATISTICS_SIDES_PX[:-1])
-        truth = batch["truth"][:, level]
+            return UNUSUAL_WEIGHT * gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
+        width = self.octaves.octave_size(self.octaves.find_octave(batch))[1]
+        resolution = sum(width < side for side in STATISTICS_SIDES_PX[:-1])  # the one nearest to these maps
+        truth = batch["truth"][:, resolution]
         specular, roughness = (truth[:, 0, 3] ** DISPLAY_GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
         pairs = zip(encode_gloss(maps.specular, maps.roughness), encode_gloss(specular, roughness), strict=True)
         # in logits, where no gradient vanishes
         gloss_difference = torch.stack([(values.mean((1, 2, 3, 4)) - target).abs() for values, target in pairs]).sum(0)
-        return (
-            loss
-            + TRUTH_WEIGHT * (map_statistics(maps) - truth[:, None]).abs().mean((1, 2, 3))
-            + GLOSS_WEIGHT * gloss_difference
-        )
-
-    def _measure_distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
-        """Return the parts of the loss without priors, by name, [T] each, of maps that were made of a batch's noise."""
-        return self.compare_pictures(theta, self.statistics.render_prediction(maps, batch), batch)
+        statistics_difference = (map_statistics(maps) - truth[:, None]).abs().mean((1, 2, 3))
+        return TRUTH_WEIGHT * statistics_difference + GLOSS_WEIGHT * gloss_difference
 
     def compare_pictures(self, theta: Params, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         """Return distances of pictures [T, B, 3, H, W] from exemplars under whose light they are, by name, [T] each."""

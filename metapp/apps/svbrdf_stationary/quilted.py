@@ -20,11 +20,7 @@ from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.highlight import remove_shading
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
-from metapp.apps.exemplar.app import (
-    PictureChanges,
-    move_tiles,
-    turn_picture,
-)
+from metapp.apps.exemplar.app import PictureChanges, move_tiles, turn_picture
 from metapp.apps.exemplar.quilted_app import QuiltedExemplarApp
 from metapp.apps.svbrdf_stationary.flash_statistics import LEAST_ROUGHNESS, chroma_deviations
 from metapp.apps.svbrdf_stationary.gloss_prior import SvbrdfNearPrior
@@ -97,9 +93,9 @@ class QuiltedSvbrdf(QuiltedExemplarApp, SvbrdfNearPrior):
         return batch | {"maps": torch.stack([fetch_pieces(maps, place, size, self.cells) for maps, place in places])}
 
     @override
-    def outer_loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
-        """Add the difference from the true maps, if the batch has them."""
-        loss = super().outer_loss_of_maps(theta, maps, batch)
+    def map_loss(self, maps: Maps, batch: Batch) -> Tensor:
+        """Add the difference from the true maps texel by texel, if the batch has them."""
+        loss = super().map_loss(maps, batch)
         if "maps" not in batch:
             return loss
         true_maps = unpack_maps(move_tiles(batch["maps"], batch["noise"]))
