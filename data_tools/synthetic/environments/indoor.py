@@ -25,13 +25,13 @@ from data_tools.synthetic.environments.fittings import (
 )
 from data_tools.synthetic.environments.patterns import BLACK, vector
 from data_tools.synthetic.environments.scene_geometry import Backdrop, EnvironmentScene, Finish
-from data_tools.synthetic.environments.sky import Sky, black_sky, day_sky, overcast_sky
+from data_tools.synthetic.environments.sky import black_sky, day_sky, overcast_sky
 from data_tools.synthetic.random_values import between, chance, integer_between, log_between, pick
 
 
 def apartment(rng: Rng) -> EnvironmentScene:
     """Draw a room by day: light comes through its windows."""
-    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _draw_window_view(rng, _draw_day_sky(rng)))
+    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _draw_window_view(rng))
     for _ in range(integer_between(rng, 1, 2)):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 1, 3), (0.0, 1.0), (0.25, 0.85))
     if chance(rng, 0.4):
@@ -52,8 +52,9 @@ def apartment(rng: Rng) -> EnvironmentScene:
 def office(rng: Rng) -> EnvironmentScene:
     """Draw a room or corridor with luminous panels or tubes, often a band of windows."""
     is_corridor = chance(rng, 0.3)
-    scene = draw_room(rng, ((2, 4), (12, 30), (2.4, 3.4)) if is_corridor else ((5, 15), (5, 15), (2.4, 3.4)),
-                 _draw_window_view(rng, _draw_day_sky(rng)))  # fmt: skip
+    scene = draw_room(
+        rng, ((2, 4), (12, 30), (2.4, 3.4)) if is_corridor else ((5, 15), (5, 15), (2.4, 3.4)), _draw_window_view(rng)
+    )
     halves = pick(rng, ((0.3, 0.3), (0.15, 0.6), (0.6, 0.15), (0.3, 0.6), (0.03, 0.7)))
     grid = (integer_between(rng, 1, 2) if is_corridor else integer_between(rng, 2, 5), integer_between(rng, 2, 6))
     add_ceiling_lamps(rng, scene, grid, halves, (2.0, 6.0), _draw_kelvin(rng))
@@ -66,7 +67,7 @@ def office(rng: Rng) -> EnvironmentScene:
 
 def lobby(rng: Rng) -> EnvironmentScene:
     """Draw a large room with a glass front, downlights, and bright furniture."""
-    scene = draw_room(rng, ((8, 25), (8, 30), (3, 8)), _draw_window_view(rng, _draw_day_sky(rng)))
+    scene = draw_room(rng, ((8, 25), (8, 30), (3, 8)), _draw_window_view(rng))
     for _ in range(integer_between(rng, 1, 2)):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 3, 8), (0.0, 0.4), (0.8, 0.98))
     if chance(rng, 0.3):
@@ -109,13 +110,9 @@ def _draw_kelvin(rng: Rng) -> float:
     return log_between(rng, 2600, 6000)
 
 
-def _draw_day_sky(rng: Rng) -> Sky:
-    """Draw a sky by day: overcast in 35 % of draws, else clear or with broken clouds."""
-    return overcast_sky(rng) if chance(rng, 0.35) else day_sky(rng, (0.1, 1.1))
-
-
-def _draw_window_view(rng: Rng, sky: Sky) -> Backdrop:
-    """Draw the view through windows."""
+def _draw_window_view(rng: Rng) -> Backdrop:
+    """Draw the view through windows by day, with an overcast sky in 35 % of draws."""
+    sky = overcast_sky(rng) if chance(rng, 0.35) else day_sky(rng, (0.1, 1.1))
     ground = vector(*pick(rng, ((0.07, 0.1, 0.04), (0.15, 0.15, 0.15), (0.3, 0.28, 0.25))))
     ground = ground * draw_near_white(rng, 0.1) * np.float32(between(rng, 0.6, 1.4))
     kind = pick(rng, ("town", "town", "woods", "none"))

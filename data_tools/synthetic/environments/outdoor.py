@@ -17,7 +17,7 @@ from data_tools.synthetic.environments.scenery import (
     add_trees,
     draw_open_scene,
 )
-from data_tools.synthetic.environments.sky import Sky, day_sky, overcast_sky
+from data_tools.synthetic.environments.sky import day_sky, overcast_sky
 from data_tools.synthetic.random_values import chance, integer_between
 
 
@@ -53,11 +53,7 @@ def forest(rng: Rng) -> EnvironmentScene:
 
 def street(rng: Rng) -> EnvironmentScene:
     """Draw houses in a row on both sides."""
-    scene = draw_open_scene(rng, _draw_town_sky(rng), PAVED_GROUNDS, ("town", "woods"), (0.05, 0.2))
+    sky = overcast_sky(rng) if chance(rng, 0.2) else day_sky(rng, clear_share=0.5)
+    scene = draw_open_scene(rng, sky, PAVED_GROUNDS, ("town", "woods"), (0.05, 0.2))
     add_street_houses(rng, scene)
     return scene
-
-
-def _draw_town_sky(rng: Rng) -> Sky:
-    """Draw a sky by day: overcast in one of five draws, else clear or with broken clouds."""
-    return overcast_sky(rng) if chance(rng, 0.2) else day_sky(rng, clear_share=0.5)

@@ -71,17 +71,17 @@ def _mix_colours(colours: _Colours, share: float) -> Field:
     return dark + (light - dark) * np.float32(share)
 
 
-def draw_wall_finish(rng: Rng) -> Finish:
+def _draw_wall_finish(rng: Rng) -> Finish:
     """Draw the finish of a wall: brick, plaster, concrete or wood."""
     colour = _mix_colours(pick(rng, _WALLS), float(rng.random()))
     pattern = pick(rng, ("rough", "cloud"))
     return Finish(colour, colour * np.float32(between(rng, 0.5, 0.9)), pattern, between(rng, 3, 12))
 
 
-def draw_facade_finish(rng: Rng) -> Finish:
+def _draw_facade_finish(rng: Rng) -> Finish:
     """Draw the finish of a wall with rows of windows."""
     glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
-    return draw_wall_finish(rng)._replace(
+    return _draw_wall_finish(rng)._replace(
         window_spacing_m=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), window_share=glazed
     )
 
@@ -96,16 +96,16 @@ def add_street_houses(rng: Rng, scene: EnvironmentScene) -> None:
         x = sorted((sign * front, sign * (front + 14)))
         while start < 60:
             end, top = start + between(rng, 9, 30), bottom + height * between(rng, 0.6, 1.4)
-            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), draw_facade_finish(rng)))
+            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), _draw_facade_finish(rng)))
             start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
         if chance(rng, 0.4):
             for number in range(-2, 3):
                 _add_tree(rng, scene, sign * (front - 2), number * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
-    add_vehicles(rng, scene, integer_between(rng, 0, 6))
+    _add_vehicles(rng, scene, integer_between(rng, 0, 6))
     scene.kept_light_share = 0.7
 
 
-def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int) -> None:
+def _add_vehicles(rng: Rng, scene: EnvironmentScene, count: int) -> None:
     """Add boxes as large as cars and bins along both sides of a street."""
     for _ in range(count):
         bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
@@ -131,7 +131,7 @@ def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
         high[1] = bottom + log_between(rng, 0.6, 3.5)
         if chance(rng, 0.5):
             low, high = low[[2, 1, 0]], high[[2, 1, 0]]
-        finish = draw_wall_finish(rng) if chance(rng, 0.7) else _HEDGE
+        finish = _draw_wall_finish(rng) if chance(rng, 0.7) else _HEDGE
         if chance(rng, 0.4):
             pattern, size = pick(rng, ("stripes", "patches")), log_between(rng, 0.6, 6)
             finish = finish._replace(second_colour=finish.colour * np.float32(0.2), pattern=pattern, size=size)
