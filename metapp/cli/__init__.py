@@ -1,7 +1,8 @@
 """The command line: arguments, help, messages, and what commands print.
 
 Read in this order: `command_tree` (the commands and their order), `console` (output), `progress` with `live_bar`
-(messages and progress), `command_process` (errors, signals and exit codes), `arguments` (dataclasses of options become
+(messages and progress), `command_process` (errors, signals and exit codes) with `watchdog` (signals that Python cannot
+see), `arguments` (dataclasses of options become
 options of commands), `help` with `help_page` (what --help prints). Then read the commands: `fit_commands` with
 `fit_output` (fits), `evaluate` with `evaluation_options` and `evaluation_output` (tables), `export`, `data` (conversion
 of files), and `synth` with `synthesis_options` and `synthesis` (synthetic data). torch, Mitsuba and colour-science are
@@ -28,8 +29,10 @@ def main() -> None:
 
         app(prog_name="metapp")
     from metapp.cli.command_process import run_command
+    from metapp.cli.watchdog import start_watchdog
 
     def command() -> object:
+        start_watchdog()
         from metapp.cli.command_tree import app  # here: run_command makes Ctrl-C during imports one line, too
 
         return app(standalone_mode=False, prog_name="metapp")

@@ -1,32 +1,25 @@
 """The files that a scene may name: regular files of a bounded size in folders that the user named.
 
-A scene comes from anywhere, so a name in it gives no right to read the file. Pictures and volumes must have a size that
-Mitsuba can take. This module does not know whether the scene is in XML, in JSON or in memory.
+A scene comes from anywhere, so a name in it gives no right to read the file. What files take in memory, by their
+headers, is in :mod:`metapp.extensions.scene_files.data_files`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import math
 import os
 import re
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import OpenImageIO as oiio
 from typing_extensions import override
 
-from data_tools.readers.image_files import check_size
-from data_tools.readers.opened_images import check_memory, last_oiio_error, shorten_oiio_error, silence_libraries
-from metapp.rendering.scenes.rules import SceneFiles
-from metapp.storage.files import open_regular, open_text, placeholder_line
+from metapp.extensions.scene_files.data_files import data_file_bytes
+from metapp.rendering.scenes.rules import SceneFiles, is_file_name
+from metapp.storage.files import open_text, placeholder_line
 
 MAX_TEXT_CHARACTERS = 2**24  # of a scene file, an include, and of a scene file with all of its includes
 MAX_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
-_VOLUME_HEADER = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
-_BOUNDING_BOX_BYTES = 24  # six floats, which follow the header of a volume
 _WINDOWS_DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
 
 # Data files that scenes read in this process have named. A scene is kept as text beside its samples, and may be loaded
@@ -86,10 +79,11 @@ class ScenePlaces(SceneFiles):
         return path
 
     @override
-    def check(self, kind: str, parameters: Mapping[str, object]) -> None:
-        for name, value in parameters.items():
-            if name == "filename" and isinstance(value, str):
-                check_data_file(kind, Path(value))
+    def memory_bytes(self, kind: str, parameters: Mapping[str, object]) -> int:
+        names = [value for name, value in parameters.items() if is_file_name(name) and isinstance(value, str)]
+        index = parameters.get("shape_index", 0)
+        shape_index = index if isinstance(index, int) else 0
+        return sum(data_file_bytes(kind, Path(name), shape_index) for name in names)
 
     def read_included_text(self, name: str) -> tuple[Path, str]:
         """Read a document that a scene includes, and return its resolved path and its text.
@@ -185,54 +179,3 @@ def read_scene_text(path: Path, most_characters: int = MAX_TEXT_CHARACTERS) -> s
             f"more than {most_characters:,} characters, expected a scene of Mitsuba 3; put meshes in files."
         )
     return content
-
-
-def check_data_file(kind: str, path: Path) -> None:
-    """Refuse a picture or a volume of a size that Mitsuba cannot take; the values in it are not checked.
-
-    Mitsuba allocates what the header asks for, however small the file is, and ends the process at an empty grid.
-
-    Args:
-        kind: type of the plugin that reads the file; plugins that read no pictures or volumes are not checked.
-        path: the file.
-
-    Raises:
-        ValueError: the file is no image or volume, or its size is not allowed.
-    """
-    check = {"bitmap": _check_picture, "envmap": _check_picture, "gridvolume": _check_volume, "sdfgrid": _check_volume}
-    if kind not in check:
-        return
-    try:
-        check[kind](path)
-    except ValueError as error:
-        reason = str(error).removeprefix(f"{path}: ")
-        raise ValueError(f"names the file {path.name[:60]!r}, which Mitsuba cannot take: {reason}") from None
-
-
-def _check_picture(path: Path) -> None:
-    """Refuse a file that is no image, or larger than photographs may be."""
-    with silence_libraries():
-        source = oiio.ImageInput.open(str(path))
-        if source is None:
-            raise ValueError(
-                f"no image ({shorten_oiio_error(last_oiio_error(oiio), path)}), expected one; export it again."
-            )
-        with contextlib.closing(source):
-            spec = source.spec()
-            check_size(spec.width, spec.height, path, low=1)
-            check_memory(spec, path)
-
-
-def _check_volume(path: Path) -> None:
-    """Refuse a volume whose grid of 32-bit floats is empty, or larger than the file."""
-    with open_regular(path) as file:
-        header = file.read(_VOLUME_HEADER.size).ljust(_VOLUME_HEADER.size, b"\0")
-        size = file.seek(0, 2)
-    _, _, *grid, channels = _VOLUME_HEADER.unpack(header)
-    needed_bytes = _VOLUME_HEADER.size + _BOUNDING_BOX_BYTES + 4 * math.prod(grid) * channels
-    if min(*grid, channels) < 1 or size < needed_bytes:
-        shape = " x ".join(map(str, grid))
-        raise ValueError(
-            f"a grid of {shape}, {channels} channels and {size:,} bytes, expected 1 or more along each axis and "
-            f"{needed_bytes:,} bytes; export it again."
-        )

@@ -8,6 +8,7 @@ the time in which Mitsuba loads the scene: the process imports torch only if the
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import signal
@@ -21,7 +22,8 @@ from metapp.rendering.types import Mitsuba, Scene
 from metapp.rendering.variant import LEAST_THREADS, choose_llvm, restrict_plugins
 
 _MAX_CPU_SECONDS = 300  # of a trial; the largest public scenes load in half a minute
-_MAX_ADDRESS_BYTES = 2**35  # of a trial; damaged counts ask for more
+_MAX_ADDRESS_BYTES = 2**32  # of a trial: half a GiB for Mitsuba, and what the files of a scene may take
+_SET_PARENT_DEATH_SIGNAL = 1  # an option of prctl
 _REFUSED, _KILLED = 3, -9  # exit codes of a trial that refused the scene, and of a process that was killed
 
 
@@ -70,6 +72,12 @@ def _describe_end(code: int) -> str:
     return f"the process died ({signal.Signals(-code).name})"
 
 
+def _end_with_parent() -> None:
+    """Have Linux kill this process when the process that started it ends, whichever way that ends."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
 def _limit_process(memory: bool) -> None:
     """Limit the time and the memory of this process where the system can: Windows can limit neither, macOS no memory.
 
@@ -89,6 +97,7 @@ def _limit_process(memory: bool) -> None:
 
 def _load_scene(variant: str) -> None:
     """Load the scene that standard input holds as JSON, and write the reason to standard output if it is refused."""
+    _end_with_parent()
     is_llvm = variant.startswith("llvm")
     _limit_process(is_llvm)  # CUDA reserves more addresses than the limit
     if is_llvm:

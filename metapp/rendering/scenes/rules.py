@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from metapp.registry import registry
+from metapp.rendering.scenes.expansion import check_expansion
+from metapp.rendering.scenes.spectra import check_spectrum, check_spectrum_plugin
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
 
@@ -39,6 +41,7 @@ _MEMORY_PLUGINS = {"blender"}  # these read addresses in memory that a scene giv
 _REQUIRED_PARAMETERS = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
 _MAX_SAMPLE_COUNT = 2**20  # some samplers never come to an end with more; paths here need no sampler
 _MAX_FILM_PX = 2**15  # greatest side of a film, px: pictures of this size are made
+MAX_FILE_MEMORY_BYTES = 3 * 2**30  # memory that the files of a scene take in Mitsuba, decoded, as their headers state
 
 
 class UnsupportedPluginError(ValueError):
@@ -110,8 +113,10 @@ def check_parameters(kind: str, given: Mapping[str, object]) -> None:
         given: its parameters and nested objects, by name.
 
     Raises:
-        ValueError: a count, size or temperature that is out of range; a parameter or an object that is missing.
+        ValueError: a count, size or temperature that is out of range; a parameter or an object that is missing; a
+            spectrum of no use.
     """
+    check_spectrum_plugin(kind, given)
     required = _REQUIRED_PARAMETERS.get(kind)
     if required and required not in given:
         raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
@@ -154,8 +159,13 @@ class SceneFiles:
             f"names the folder {folder[:100]!r}, expected none; scenes with files need {SCENE_FILE_READER}."
         )
 
-    def check(self, kind: str, parameters: Mapping[str, object]) -> None:
-        """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
+    def memory_bytes(self, kind: str, parameters: Mapping[str, object]) -> int:
+        """Return the memory that Mitsuba needs for the files which a plugin's parameters name, by absolute names.
+
+        Raises:
+            ValueError: Mitsuba cannot take a file.
+        """
+        return 0
 
 
 MAX_NESTED_LEVELS = 64  # levels of elements or objects within each other
@@ -195,10 +205,11 @@ class SceneChecker:
 
     Attributes:
         value_count: the number of values that were checked so far.
+        file_bytes: the memory that the files take which were checked so far, each as often as it is named.
     """
 
     def __init__(self, files: SceneFiles, most_values: int = MAX_SCENE_VALUES) -> None:
-        self.files, self.value_count, self.most_values = files, 0, most_values
+        self.files, self.value_count, self.file_bytes, self.most_values = files, 0, 0, most_values
 
     def check_object(self, scene: SceneDict, path: tuple[str, ...] = ()) -> SceneDict:
         """Check an object of a scene, and return it with file names absolute.
@@ -222,7 +233,7 @@ class SceneChecker:
             if not isinstance(key, str) or not key.isprintable() or not 0 < len(key) < 256 or "." in key:
                 raise ValueError(f"a key {str(key)[:60]!r}, expected 1 to 255 characters, none of them a point.")
         if kind in ("rgb", "spectrum", "ref") and depth:
-            self._check_plain(kind, scene)
+            self._check_plain(kind, scene, path)
         elif (kind == "scene") != (depth == 0):
             raise ValueError("a scene within a scene, or none at all, expected one around all else.")
         elif depth:
@@ -237,11 +248,24 @@ class SceneChecker:
         }
         if depth:
             check_parameters(kind, checked)
-            self.files.check(kind, checked)
+            self._check_memory(kind, checked)
+        else:
+            check_expansion(checked, MAX_NESTED_LEVELS)
+        referenced_names = set(_referenced_names(checked)) if media else set()
         for key, medium in media.items():
-            if any(name in (key, medium.get("id")) for name in _referenced_names(checked)):
+            if not referenced_names.isdisjoint((key, str(medium.get("id")))):
                 check_plugin(medium["type"])
         return checked
+
+    def _check_memory(self, kind: str, parameters: Mapping[str, object]) -> None:
+        """Refuse a plugin whose files, with all files before, need more memory than a scene may take."""
+        self.file_bytes += self.files.memory_bytes(kind, parameters)
+        if self.file_bytes > MAX_FILE_MEMORY_BYTES:
+            name = Path(str(parameters.get("filename"))).name
+            raise ValueError(
+                f"names the file {name[:60]!r}, with which all files decoded take {self.file_bytes:,} bytes, expected "
+                f"{MAX_FILE_MEMORY_BYTES:,} at most; make pictures smaller, and meshes and volumes coarser."
+            )
 
     def _take_folders(self, scene: SceneDict) -> SceneDict:
         """Return the scene without its declarations of folders, of type `resources`.
@@ -280,7 +304,7 @@ class SceneChecker:
             )
         return value
 
-    def _check_plain(self, kind: str, scene: SceneDict) -> None:
+    def _check_plain(self, kind: str, scene: SceneDict, path: tuple[str, ...]) -> None:
         """Refuse a colour, spectrum or reference that holds anything but its value."""
         expected = {"rgb": ({"value"},), "ref": ({"id"},), "spectrum": ({"value"}, {"filename"})}[kind]
         found = set(scene) - {"type"}
@@ -289,6 +313,12 @@ class SceneChecker:
         if found not in expected or not fits:
             names = " or ".join(next(iter(keys)) for keys in expected)
             raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of finite numbers or text.")
+        if kind == "spectrum" and "value" in scene:
+            rows = value if isinstance(value, list) else [[wavelength, value] for wavelength in (360, 830)]
+            try:
+                check_spectrum((f"pair {index}", row) for index, row in enumerate(rows, 1))
+            except ValueError as error:
+                raise ValueError(f'dictionary node "{".".join(path[:-1])[:100]}": {error}') from None
 
 
 def _declared_media(scene: SceneDict) -> dict[str, SceneDict]:
