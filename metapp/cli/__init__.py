@@ -28,7 +28,7 @@ def main() -> None:
         from metapp.cli.command_tree import app
 
         app(prog_name="metapp")
-    from metapp.cli.command_process import run_command
+    from metapp.cli.command_process import Exit, run_command
     from metapp.cli.watchdog import start_watchdog
 
     def command() -> object:
@@ -37,4 +37,9 @@ def main() -> None:
 
         return app(standalone_mode=False, prog_name="metapp")
 
-    sys.exit(run_command(command))
+    code = run_command(command)
+    if code == Exit.INTERRUPTED:  # at once: to take torch down takes longer on a busy machine than the watchdog waits
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
