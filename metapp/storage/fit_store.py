@@ -170,7 +170,13 @@ def read_fit_record(folder: Path, *, figures: Collection[str] = (), timed: bool 
         raise ValueError(f"{file}: no record, expected one of a task ({reason}); fit again.") from None
 
 
-def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: bool = False) -> list[FitRecord]:
+def read_fit_records(
+    run_folder: Path,
+    *,
+    figures: Collection[str] = (),
+    timed: bool = False,
+    check: Callable[[FitRecord], object] = lambda record: None,
+) -> list[FitRecord]:
     """Read the records in the folder of a run; see :func:`read_fit_record`.
 
     A single warning names the first file that should be a record and is not.
@@ -179,6 +185,7 @@ def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: 
         run_folder: the folder of the run.
         figures: the names of figures that records must have.
         timed: whether they must have seconds.
+        check: a function that raises ValueError for a record that the caller cannot use, which is passed over, too.
 
     Returns:
         The records, in the order of their folders' names.
@@ -188,10 +195,11 @@ def read_fit_records(run_folder: Path, *, figures: Collection[str] = (), timed: 
         is_partial = folder.name.startswith(PARTIAL_PREFIX)
         try:
             record = None if is_partial else read_fit_record(folder, figures=figures, timed=timed)
+            if record:
+                check(record)
+                records.append(record)
         except ValueError as error:
             problems.append(f"{str(error).removesuffix('; fit again.')}; passed over, as if not there.")
-        else:
-            records += [record] if record else []
     if problems:
         more = f" {len(problems) - 1} more in {run_folder} alike." if len(problems) > 1 else ""
         warnings.warn(f"{problems[0]}{more}", stacklevel=2)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from safetensors.torch import load_file, save, save_file
 
 from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
 from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import RECORD, read_fit_records, write_fit
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records, write_fit
+from tests.cli.messages import says
+from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -72,13 +75,56 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
         for run in (folder, folder.parent):
             for words in (("export", run, "merl"), ("view", run), ("compare", run, run)):
                 result = metapp(*words)
-                if value == {"data": None}:  # a record without a setting
-                    assert "record.json: m0: 'data' is missing, expected text; fit again." in result.refusal, words
-                    continue
                 line = result.refusal if run == folder else result.err.splitlines()[0]
+                if value == {"data": None}:  # a record without a setting
+                    assert says(line, "m0/record.json: m0", "'data' is missing, expected text"), words
+                    continue
                 assert re.search(r"/m0/record.json: no record, expected one of a task \(Expected .*\); ", line), words
                 assert (f".{place}" in line, "expected" in result.error) == (True, True), words
                 assert len(result.err.splitlines()) == (1 if run == folder else 2)
+
+
+FOREIGN = {  # each is a record as another program or another version may write it
+    "other entries": {"name": "alien", "settings": {"layers": 3}},
+    "no recipe": {"recipe": ""},
+    "unknown application": {"app": "cloth"},
+    "unknown recipe": {"recipe": "huge"},
+    "unknown paradigm": {"paradigm": "guess"},
+}
+
+
+@pytest.mark.parametrize(
+    "kind", ["unknown application", *(long(kind) for kind in FOREIGN if kind != "unknown application")]
+)
+def test_a_foreign_record_is_passed_over_where_a_folder_is_read(
+    metapp: Callable, fit: Callable, network: Path, kind: str
+) -> None:
+    change = FOREIGN[kind]
+    folder = Path(fit("meta", network, "--recipe", "quick", "--json").json_result["tasks"][0]["folder"])
+    own = json.loads((folder / RECORD).read_text())
+    foreign = change if "settings" in change else {**own, "name": "alien", "settings": {**own["settings"], **change}}
+    for alien in (folder.with_name("alien"), folder.parents[1] / "other" / "alien"):  # the second is the newest run
+        shutil.copytree(folder, alien)
+        (alien / RECORD).write_text(json.dumps(foreign))
+    run = folder.parent
+    for words in (("view", run), ("view", run.parent), ("export", run, "merl"), ("compare", run, run)):
+        result = metapp(*words)
+        assert result.code == 0, words
+        assert says(result.err, f"alien/{RECORD}", "passed over"), words
+        assert "alien" not in result.out
+    assert says(metapp("view", alien).refusal, f"alien/{RECORD}", "expected")
+    assert metapp("meta", "brdf", network, "--recipe", "quick", "--out", run.parents[1], "--resume").code == 0
+
+
+def test_a_fit_without_parameters_stops_no_export_of_others(metapp: Callable, fit: Callable, network: Path) -> None:
+    folder = Path(fit("meta", network, "--recipe", "quick", "--json").json_result["tasks"][0]["folder"])
+    torn = folder.with_name("torn")
+    shutil.copytree(folder, torn)
+    (torn / PARAMS).unlink()
+    result = metapp("export", folder.parent, "merl")
+    assert result.code == 0
+    assert says(result.err, "left out", f"torn/{PARAMS}", "not readable")
+    assert says(metapp("export", torn, "merl").refusal, f"torn/{PARAMS}", "not readable")
 
 
 # Checkpoints

@@ -24,7 +24,7 @@ from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_i
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
-from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records, read_packed_record
 from metapp.storage.folders import FolderKind, find_record_files, path_kind
 from metapp.storage.parameters import read_checked_params
@@ -52,13 +52,15 @@ def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -
             methods without a network are read, too.
 
     Raises:
-        ValueError: there is no record or none of that task, or a record has other settings than metapp writes.
+        ValueError: there is no record or none of that task, or the one of a task's folder has other settings than
+            metapp writes; in the folder of a run such records are passed over with a warning.
     """
-    task_record = read_fit_record(place, timed=by_paradigm)
-    folder = place if task_record else _newest_run_folder(place)
-    records = [task_record] if task_record else read_fit_records(folder, timed=by_paradigm)
-    if by_paradigm:
-        records = [record for record in records if record.settings.paradigm]
+    folder, records = place, list[FitRecord]()
+    if not (task_record := read_fit_record(place, timed=by_paradigm)):
+        folder, records = _read_newest_run(place, by_paradigm=by_paradigm)
+    elif task_record.settings.paradigm or not by_paradigm:
+        _require_known_settings(task_record)
+        records = [task_record]
     if not records:
         expected = "a run's folder, such as runs/brdf/meta"
         if (kind := path_kind(place)) in (FolderKind.DATA_SET, FolderKind.RESULTS):
@@ -70,23 +72,24 @@ def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -
         first_names = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
         hint = did_you_mean(task, names)
         raise ValueError(f"{place}: no record of task '{task}', expected one of {first_names}.{hint}")
-    records = [records[names.index(task)]] if task else records
-    for record in records:
-        _require_settings(record)
-    return RunRecords(folder, records)
+    return RunRecords(folder, [records[names.index(task)]] if task else records)
 
 
-def _require_settings(record: FitRecord) -> None:
-    """Refuse a record that lacks a setting by which a fit can be shown again.
+def _require_known_settings(record: FitRecord) -> None:
+    """Refuse a record by whose settings no fit can be shown again, as of another program or another version.
 
     Raises:
-        ValueError: a setting is missing.
+        ValueError: a setting is missing or not known; the message names the file.
     """
-    place = Path(record.folder)
-    for name in ("app", "data", "recipe"):
-        if not getattr(record.settings, name):
-            file = place if place.is_file() else place / RECORD
-            raise ValueError(f"{file}: {record.name}: '{name}' is missing, expected text; fit again.")
+    try:
+        for name in ("app", "data", "recipe"):
+            if not getattr(record.settings, name):
+                raise ValueError(f"'{name}' is missing, expected text")
+        choose_as_recorded(record.settings)
+    except ValueError as error:
+        place = Path(record.folder)
+        file = place if place.is_file() else place / RECORD
+        raise ValueError(f"{file}: {record.name}: {str(error).rstrip('.')}; fit again.") from None
 
 
 def read_fit_of_file(file: Path) -> FitRecord:
@@ -100,7 +103,7 @@ def read_fit_of_file(file: Path) -> FitRecord:
     """
     record = read_fit_record(file.parent, timed=True) if file.name in (RECORD, PARAMS) else None
     record = record or read_packed_record(file)
-    _require_settings(record)
+    _require_known_settings(record)
     return record
 
 
@@ -109,17 +112,35 @@ def holds_fits(path: Path) -> bool:
     return path_kind(path) in (FolderKind.FIT, FolderKind.RUN) or bool(find_record_files(path))
 
 
-def _newest_run_folder(folder: Path) -> Path:
-    """Return the folder of the run with the latest record in a folder of runs, such as `runs` or `runs/brdf`.
+def _read_newest_run(folder: Path, *, by_paradigm: bool) -> tuple[Path, list[FitRecord]]:
+    """Read the records of the run with the latest record in a folder of runs, such as `runs` or `runs/brdf`.
 
-    A folder that is no folder of runs is returned as it is.
+    Records that are none of a fit are passed over, and so are runs without others.
+
+    Args:
+        folder: the folder of runs; of any other one the records right in it are read.
+        by_paradigm: whether records must be of fits by paradigms; see :func:`read_run_records`.
+
+    Returns:
+        The folder of the run and its records; the folder as it is and [] if there are none.
     """
-    record_files = find_record_files(folder)
-    if not record_files:
-        return folder
-    run_folder = max(record_files, key=lambda file: file.stat().st_mtime_ns).parent.parent
-    say(f"{folder}: the newest run is {run_folder}")
-    return run_folder
+    known_settings: list[Settings] = []
+
+    def check_once(record: FitRecord) -> None:  # a run may hold thousands of fits by few settings
+        if (record.settings.paradigm or not by_paradigm) and record.settings not in known_settings:
+            _require_known_settings(record)
+            known_settings.append(record.settings)
+
+    def read_run(run_folder: Path) -> list[FitRecord]:
+        records = read_fit_records(run_folder, timed=by_paradigm, check=check_once)
+        return [record for record in records if record.settings.paradigm or not by_paradigm]
+
+    record_files = sorted(find_record_files(folder), key=lambda file: file.stat().st_mtime_ns, reverse=True)
+    for run_folder in dict.fromkeys(file.parent.parent for file in record_files):
+        if records := read_run(run_folder):
+            say(f"{folder}: the newest run is {run_folder}")
+            return run_folder, records
+    return folder, read_run(folder)
 
 
 def find_fitted_tasks(records: list[FitRecord], inputs: list[Path], data: Path | None) -> dict[str, Task]:
@@ -221,13 +242,17 @@ def export_fits(
     (app_name,) = app_names
     check_export(form, application_named(app_name))
     fit_options(app_name, **options)
-    files = []
+    files, exported, faults = [], list[str](), list[str]()
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record.settings, record.name
             choice = choose_as_recorded(settings, options)
-            theta = read_checked_params(record, choose_as_recorded(settings).app if options else choice.app)
+            try:
+                theta = read_checked_params(record, choose_as_recorded(settings).app if options else choice.app)
+            except ValueError as error:  # the other fits of the run are sound
+                faults.append(str(error))
+                continue
             if options:
                 settings = replace(settings, options=settings.options | options)
             write = functools.partial(export_fit, choice, theta=theta, path=export_path(record, form, out), name=form)
@@ -244,6 +269,11 @@ def export_fits(
                     ) from None
                 write(task=tasks[name], settings=settings)
             files.append(file_to_open(export_path(record, form, out)))
+            exported.append(name)
             bar.advance(name)
+    if not files:
+        raise ValueError(faults[0])
+    for line in faults:
+        say(f"warning: left out: {line}")
     target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return target, [record.name for record in records], files
+    return target, exported, files
