@@ -140,9 +140,9 @@ def _require_kind(
     for key, condition in app.recorded_conditions().items():
         trained_condition = header.get(key, condition)
         if trained_condition != condition and phi.encoder:
-            raise ValueError(
-                f"{path}: its encoder reads {trained_condition}, expected {condition}; give another checkpoint, or "
-                "train one with --train."
+            raise ValueError(  # what is here comes first: a condition may say how to get what is missing
+                f"{app.name}: {key} here: {condition}, expected {trained_condition}, which the encoder of {path} "
+                "reads; or give another checkpoint, or train one with --train."
             )
         if trained_condition != condition:
             say(f"warning: {path.name} was trained with {trained_condition}, but this run has {condition}.")

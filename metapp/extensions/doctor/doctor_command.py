@@ -14,7 +14,8 @@ def doctor_command(
 ) -> None:
     """Print what is installed and what fails: versions, device, compiler, cache, checkpoints, VGG, libLLVM.
 
-    Optional packages are listed, too. The exit code is 1 if the last line names something that fails.
+    Optional packages are listed, too. The exit code is 1 if the last line names something that fails; weights of VGG
+    that were not fetched yet do not.
     """
     from metapp.extensions.doctor.installation import FAILURES_KEY, examine_installation
 

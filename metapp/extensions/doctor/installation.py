@@ -53,8 +53,8 @@ FAILURES_KEY = "fails"  # key of the names of subjects that fail
 def examine_installation() -> Document:
     """Return what is installed, and what it can use, by subject: a text, or texts by name.
 
-    The last subject, "fails", lists the names of the subjects for which some commands fail. An extra of the package
-    that is not installed does not count among these, nor a missing compiler, which makes trainings slower.
+    The last subject, "fails", lists the names of the subjects for which some commands fail. What a user adds where it
+    is wanted does not count among these: extras of the package, a compiler, the weights of VGG.
     """
     shipped = {
         key: names for app in sorted(registry().applications) for key, names in shipped_checkpoint_names(app).items()
@@ -122,13 +122,13 @@ def _describe_extra(extra: str) -> str:
 
 
 def _describe_vgg() -> str:
-    """Return where the weights of VGG come from.
+    """Return where the weights of VGG come from, or what fetches them.
 
     Raises:
-        ValueError: the weights are missing or damaged; the message says what to do.
+        ValueError: the weights are damaged; the message says what to do.
     """
     if not vgg_weights_path().is_file():
-        raise ValueError("not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg")
+        return "not fetched yet; fits of textures and svbrdf_stationary need it: metapp data vgg"
     try:
         with open_tensors(vgg_weights_path()) as file:
             return f"from {(file.metadata() or {}).get('source', 'unknown')}"

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from metapp.appearance.features import vgg_weights_path
 from metapp.extensions.doctor import installation
+from tests.cli.messages import says
 
 
 def test_doctor_lists_what_is_installed(metapp: Callable, cache: Path) -> None:
@@ -32,10 +34,14 @@ def test_doctor_reports_a_missing_compiler(metapp: Callable, monkeypatch: pytest
 
 def test_doctor_fails_where_commands_would(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "find_llvm", lambda: "libLLVM.so")
-    monkeypatch.setattr(installation, "_describe_vgg", lambda: "from somewhere")
-    result = metapp("doctor")
+    result = metapp("doctor")  # the cache is empty, as of a fresh installation
     assert result.code == 0
     assert result.out.splitlines()[-1] == "fails       nothing"
+    assert says(result.out, "VGG", "not fetched", "texture", "metapp data vgg")
+    vgg_weights_path().write_bytes(b"damaged")
+    result = metapp("doctor", "--json")
+    assert (result.code, result.json_document["fails"]) == (1, ["VGG"])
+    assert says(result.json_document["VGG"], "damaged", "metapp data vgg")
     (cache / "file").write_text("")
     monkeypatch.setenv("METAPP_CACHE", str(cache / "file"))
     result = metapp("doctor", "--json")
