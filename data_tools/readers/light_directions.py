@@ -59,13 +59,18 @@ def read_lights(path: Path) -> tuple[list[Path], Tensor]:
         ValueError: the text cannot be read, a line is malformed, or a photograph is missing.
     """
     try:
-        lines = [line for line in read_text(path).splitlines() if line.strip()]
+        numbered_lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as text, expected a line for each photo; write it again.") from error
-    if not lines or not lines[0].strip().isdigit() or int(lines[0]) != len(lines) - 1:
-        found = f"{lines[0].strip()[:20]!r} above {len(lines) - 1} lines" if lines else "no line"
-        raise ValueError(f"{path}: {found}, expected the number of photos, then 'name x y z' for each; correct it.")
-    photos, directions = zip(*(_read_line(path, line) for line in lines[1:]), strict=True)
+    expected = "expected the number of photos, then 'name x y z' for each; correct it."
+    if not numbered_lines:
+        raise ValueError(f"{path}: no line, {expected}")
+    (number, count_line), *photo_lines = numbered_lines
+    # compared as texts, since int() refuses some digits, and numbers of thousands of digits
+    if count_line.strip().lstrip("0") != str(len(photo_lines)):
+        found = f"line {number} is {count_line.strip()[:20]!r} above {len(photo_lines)} lines"
+        raise ValueError(f"{path}: {found}, {expected}")
+    photos, directions = zip(*(_read_line(path, *photo_line) for photo_line in photo_lines), strict=True)
     towards = torch.nn.functional.normalize(torch.tensor(directions, dtype=torch.float64), dim=1).float()
     is_above = (towards[:, 2] > MIN_SINE).tolist()
     places = FAR_HALF_SIDES * torch.stack([torch.tensor([0.0, 0.0, 1.0]).expand_as(towards), towards], 1)
@@ -95,16 +100,18 @@ def find_light_distance(photos: Tensor, places: Tensor) -> float:
     return 1 / min(max(inverse, 1 / FARTHEST_HALF_SIDES), 1 / NEAREST_HALF_SIDES)
 
 
-def _read_line(path: Path, line: str) -> tuple[Path, list[float]]:
-    """Return the photograph of a line "name x y z", and the direction to its light."""
+def _read_line(path: Path, number: int, line: str) -> tuple[Path, list[float]]:
+    """Return the photograph of a line "name x y z", which has this number, and the direction to its light."""
     name, *words = line.strip().rsplit(None, 3)
     try:
         direction = [float(word) for word in words]
     except ValueError:
         direction = []
     if len(direction) != 3 or not 1e-3 < math.hypot(*direction) < 1e6:
-        raise ValueError(f"{path}: line {line.strip()[:60]!r}, expected a name and a direction x y z; correct it.")
+        found = f"line {number} is {line.strip()[:60]!r}"
+        raise ValueError(f"{path}: {found}, expected a name and a direction x y z; correct it.")
     photo = path.parent / PureWindowsPath(name.strip('"')).name  # either kind of slash
     if not photo.is_file():
-        raise ValueError(f"{path}: {photo.name}: no such file beside it, expected the photo; copy it there.")
+        found = f"line {number} names {photo.name[:60]!r}, no such file beside it"
+        raise ValueError(f"{path}: {found}, expected the photo; copy it there.")
     return photo, direction

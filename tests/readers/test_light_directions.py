@@ -1,7 +1,7 @@
 """Photographs by a camera that stands still, with an RTI text of light directions: one input, and clear refusals."""
 
 import math
-import re
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from data_tools.readers import placed_photos
 from data_tools.readers.light_directions import FAR_HALF_SIDES, find_light_distance, read_lights
 from metapp.appearance.flash import render_maps, texel_positions
 from tests.apps.several.test_several_photos import relief
+from tests.cli.messages import says
 from tests.pictures import noise_image, write_image
 
 COUNT = 4
@@ -71,24 +72,46 @@ def test_lights_that_graze_the_material_are_left_out(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "facts"),
     [
-        (lambda text: text.replace("4\n", "5\n", 1), "'5' above 4 lines, expected the number of photos"),
-        (lambda text: "", "no line, expected the number of photos"),
-        (lambda text: text.replace("3 b.png 1.0", "3 b.png x"), "expected a name and a direction x y z"),
-        (lambda text: text.replace("3 b", "9 b"), "9 b.png: no such file beside it, expected the photo"),
-        (lambda text: text + "\0", "expected the number of photos, then 'name x y z' for each"),
+        (lambda text: text.replace("4\n", "5\n", 1), ("line 1", "'5'", "4 lines", "expected the number of photos")),
+        (lambda text: "", ("no line", "expected the number of photos")),
+        (lambda text: text.replace("3 b.png 1.0", "3 b.png x"), ("line 2", "expected a name and a direction x y z")),
+        (lambda text: text.replace("3 b", "9 b"), ("line 2", "'9 b.png'", "no such file", "expected the photo")),
+        (lambda text: text + "\0", ("expected the number of photos, then 'name x y z' for each",)),
+        (lambda text: "0\n", ("line 1", "'0'", "0 lines", "expected the number of photos")),
+        (lambda text: f"\n{text.replace('4', '²', 1)}", ("line 2", "'²'", "4 lines", "expected the number of photos")),
+        (lambda text: text.replace("4", "4" * 5000, 1), ("line 1", "'44444", "4 lines", "expected the number")),
+        (lambda text: text.replace("4", "-4", 1), ("line 1", "'-4'", "4 lines", "expected the number of photos")),
     ],
 )
 def test_texts_that_are_none_are_refused_in_one_line(
-    metapp: Callable, folder: Path, change: Callable[[str], str], words: str
+    metapp: Callable, folder: Path, change: Callable[[str], str], facts: tuple[str, ...]
 ) -> None:
     path = folder / "coin.lp"
     path.write_text(change(path.read_text()))
-    with pytest.raises(ValueError, match=re.escape(words)) as caught:
+    with pytest.raises(ValueError, match="expected") as caught:
         read_lights(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert words in metapp("general", "svbrdf_nonstationary", folder).error
+    assert says(str(caught.value), str(path), *facts)
+    assert says(metapp("general", "svbrdf_nonstationary", folder).error, "coin.lp", *facts)
+
+
+def test_the_count_may_have_leading_zeros(folder: Path) -> None:
+    path = folder / "coin.lp"
+    path.write_text("00" + path.read_text())
+    assert len(read_lights(path)[0]) == COUNT
+
+
+@pytest.mark.parametrize("name", ["coin.lp", "camera_pos.txt"])
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo], ids=["folder", "pipe"])
+def test_a_text_that_is_a_folder_or_a_pipe_is_not_ignored(
+    metapp: Callable, folder: Path, name: str, make: Callable[[Path], None]
+) -> None:
+    (folder / "coin.lp").unlink()
+    (folder / "image_size.txt").write_text("10")
+    make(folder / name)
+    for path in (folder, folder.parent):
+        assert says(metapp("general", "svbrdf_nonstationary", path).error, name, "expected")
 
 
 def test_photographs_of_several_sizes_and_texts_are_refused(metapp: Callable, folder: Path) -> None:
