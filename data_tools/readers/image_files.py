@@ -7,6 +7,7 @@ write it, to 8 bits, but not AVIF. What pictures are used for is left to readers
 from __future__ import annotations
 
 import contextlib
+import math
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,13 +47,18 @@ from data_tools.readers.opened_images import (
     silence_libraries,
     states_panorama,
 )
+from data_tools.readers.tiff_directories import describe_larger_picture
 
 _MAX_MISSING_SHARE = 0.01  # of a lat-long map's solid angle
 _MIN_SIDE_PX, _MAX_PIXELS = 32, 2**28  # of pictures that are read
 _EXIF_BLOCK = 0x8769
-_RATIONAL_TAGS = (0xA20E, 0xA20F, 0x920A)  # FocalPlaneXResolution, FocalPlaneYResolution, FocalLength
-# FocalLengthIn35mmFilm, FocalPlaneResolutionUnit, PixelXDimension, PixelYDimension
-_WHOLE_TAGS = (0xA405, 0xA210, 0xA002, 0xA003)
+_INTEROPERABILITY_BLOCK = 0xA005
+# FocalPlaneXResolution, FocalPlaneYResolution, FocalLength, DigitalZoomRatio
+_RATIONAL_TAGS = (0xA20E, 0xA20F, 0x920A, 0xA404)
+_WHOLE_TAGS = (0xA405, 0xA210)  # FocalLengthIn35mmFilm, FocalPlaneResolutionUnit
+# Sizes in px by EXIF, of a picture or of the photograph that it was made of: ImageWidth and ImageLength,
+# PixelXDimension and PixelYDimension, RelatedImageWidth and RelatedImageLength
+_SIZE_TAGS = {None: (0x100, 0x101), _EXIF_BLOCK: (0xA002, 0xA003), _INTEROPERABILITY_BLOCK: (0x1001, 0x1002)}
 
 
 class Pixels(NamedTuple):
@@ -62,17 +68,19 @@ class Pixels(NamedTuple):
         values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
         space: the colour space of the values.
         is_premultiplied: whether colours are multiplied by alpha.
-        focal_mm: the focal length in mm of an equal field of view on 35 mm film; 0 if the file does not say.
-        lens_note: how EXIF states the focal length, or why it is not known; see :class:`ExifLens`.
+        lens: the lens as EXIF states it, perhaps of a larger photograph; see :meth:`ExifLens.of_picture`.
         is_panorama: whether XMP states that the picture is a lat-long map, or a part of one.
     """
 
     values: Array
     space: ColourSpace
     is_premultiplied: bool
-    focal_mm: float = 0.0
-    lens_note: str = ""
+    lens: ExifLens = ExifLens()
     is_panorama: bool = False
+
+    def picture_lens(self) -> ExifLens:
+        """Return the lens that holds for the picture, which may be a part of the photograph that EXIF describes."""
+        return self.lens.of_picture(*self.values.shape[:2])
 
     def linear(self, rows: slice = slice(None), high: float = 1.0) -> Floats:
         """Return rows in linear light, in [0, high], float32; where there is alpha, colours are multiplied by it."""
@@ -148,11 +156,12 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
         kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
         values = source.read_image(part, 0, first, max(channels) + 1, kind)
         problem = last_oiio_error(source)
-        lens = _read_lens(source.spec(0, 0), (width, height))  # the EXIF of the file is in its first part
+        lens = _read_lens(source.spec(0, 0), path, (width, height))  # the EXIF of the file is in its first part
+        larger_note = describe_larger_picture(path, source.format_name(), spec, lens.whole_px)
     for caught_warning in caught_warnings:
         warnings.warn(caught_warning.message, stacklevel=2)
-    if choice_note:
-        warnings.warn(f"{path}: {choice_note}.", stacklevel=2)
+    for note in filter(None, (choice_note, larger_note)):
+        warnings.warn(f"{path}: {note}.", stacklevel=2)
     if values is None or problem:
         repack = "" if exposure is None else ", or write one of old run lengths again by Radiance's pfilt -1"
         raise ValueError(
@@ -170,25 +179,52 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     if exposure is not None:
         values = values / exposure
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
-    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), *lens, is_panorama)
+    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), lens, is_panorama)
 
 
-def _read_lens(spec: oiio.ImageSpec, size: tuple[int, int]) -> ExifLens:
+def lens_of(path: Path) -> ExifLens:
+    """Return the lens that EXIF states for the picture of a file, which is not decoded.
+
+    Raises:
+        ValueError: there is no such file, or it is no image.
+    """
+    if is_heif(path):
+        return read_pixels(path).picture_lens()
+    with open_largest_picture(path) as source:
+        height, width, _, _ = display_window(source)
+        return _read_lens(source.spec(0, 0), path, (width, height)).of_picture(height, width)
+
+
+def _read_lens(spec: oiio.ImageSpec, path: Path, size: tuple[int, int]) -> ExifLens:
     """Return the lens that the EXIF of an open file states.
 
     Args:
-        spec: the file's description by OpenImageIO.
+        spec: the file's description by OpenImageIO, which leaves out some sizes in EXIF.
+        path: the file.
         size: width and height in px, for a file whose EXIF states none.
     """
-    across, down, focal_mm = (
+    across, down, focal_mm, zoom = (
         spec.get_float_attribute(f"Exif:{name}", 0.0)
-        for name in ("FocalPlaneXResolution", "FocalPlaneYResolution", "FocalLength")
+        for name in ("FocalPlaneXResolution", "FocalPlaneYResolution", "FocalLength", "DigitalZoomRatio")
     )
     in_film_mm, unit, *stated_size = (
         spec.get_int_attribute(f"Exif:{name}", 0)
         for name in ("FocalLengthIn35mmFilm", "FocalPlaneResolutionUnit", "PixelXDimension", "PixelYDimension")
     )
-    return lens_of_exif(in_film_mm, focal_mm, (across, down), unit, stated_size if min(stated_size) > 0 else size)
+    whole_px = (stated_size[0], stated_size[1]) if min(stated_size) > 0 else (0, 0)
+    with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+        whole_px = max(whole_px, _stated_size(image.getexif()), key=math.prod)
+    lens = lens_of_exif(in_film_mm, focal_mm, (across, down), unit, whole_px if min(whole_px) > 0 else size, zoom)
+    return lens._replace(whole_px=whole_px)
+
+
+def _stated_size(exif: Image.Exif) -> tuple[int, int]:
+    """Return the largest width and height in px that EXIF states, since programs that cut pictures update only some."""
+    sizes = [(0, 0)]
+    for block, (width_tag, height_tag) in _SIZE_TAGS.items():
+        tags: Mapping[int, Any] = exif.get_ifd(block) if block else exif
+        sizes.append((int(tags.get(width_tag, 0)), int(tags.get(height_tag, 0))))
+    return max((size for size in sizes if min(size) >= 0), key=math.prod)
 
 
 def _check_missing(spec: oiio.ImageSpec, window: tuple[int, int, int, int], path: Path, limit: float) -> None:
@@ -275,11 +311,12 @@ def _make_pixels(values: Array, info: Mapping[Any, Any], exif: bytes | None, sub
         parsed.load(exif or b"")
         is_adobe = states_adobe_rgb(parsed)
         tags = parsed.get_ifd(_EXIF_BLOCK)
-        across, down, focal_mm = (float(tags.get(tag, 0)) for tag in _RATIONAL_TAGS)
-        in_film_mm, unit, *stated_size = (int(tags.get(tag, 0)) for tag in _WHOLE_TAGS)
-        size = stated_size if min(stated_size) > 0 else values.shape[1::-1]
-        lens = lens_of_exif(in_film_mm, focal_mm, (across, down), unit, size)
-    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB_SPACE, False, *lens)
+        across, down, focal_mm, zoom = (float(tags.get(tag, 0)) for tag in _RATIONAL_TAGS)
+        in_film_mm, unit = (int(tags.get(tag, 0)) for tag in _WHOLE_TAGS)
+        whole_px = _stated_size(parsed)
+        size = whole_px if min(whole_px) > 0 else values.shape[1::-1]
+        lens = lens_of_exif(in_film_mm, focal_mm, (across, down), unit, size, zoom)._replace(whole_px=whole_px)
+    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB_SPACE, False, lens)
 
 
 def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE_PX) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from data_tools.readers.colours import Floats
+from data_tools.readers.tiff_directories import read_tiff_directories
 from metapp.storage.files import check_readable, open_regular
 
 # All suffixes of pictures that are read, one list for files, maps and folders. Left out are those of OpenImageIO that
@@ -76,6 +77,9 @@ def open_image(path: Path) -> oiio.ImageInput:
         if path.suffix.lower() in _HEIF_SUFFIXES:
             raise ValueError(export_advice(path))
         raise ValueError(f"{path}: not an image ({reason}), {EXPECTED_IMAGE}; check the file or export it again.")
+    if source.format_name() == "tiff" and any(directory.is_raw for directory in read_tiff_directories(path)):
+        source.close()
+        raise ValueError(export_advice(path, is_raw=True))
     return source
 
 
@@ -266,9 +270,14 @@ def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
         )
 
 
-def export_advice(path: Path) -> str:
-    """Return the line that tells the user how to export a camera raw or a HEIF or AVIF picture."""
-    if path.suffix.lower() in RAW_SUFFIXES:
+def export_advice(path: Path, *, is_raw: bool = False) -> str:
+    """Return the line that tells the user how to export a camera raw or a HEIF or AVIF picture.
+
+    Args:
+        path: the file.
+        is_raw: whether it is a camera raw, whatever its suffix.
+    """
+    if is_raw or path.suffix.lower() in RAW_SUFFIXES:
         return f"{path}: raw values of a camera, {EXPECTED_IMAGE}; develop it and export it as JPEG or PNG."
     remedy = "" if can_read_heif() or not is_heif(path) else f", or read it as it is: {INSTALL_HEIF}"
     return f"{path}: a picture in HEIF or AVIF, {EXPECTED_IMAGE}; export it as JPEG or PNG{remedy}."

@@ -243,7 +243,9 @@ def _crop_corners(pixels: Pixels, is_empty: Array) -> Pixels:
     if min(height, width) < _MIN_PART_PX or height * width < _MIN_RECTANGLE_SHARE * visible_px:
         return pixels
     narrowing = math.sqrt(visible_px / (height * width))  # of a picture of the same ratio of sides
-    return pixels._replace(values=part.crop(pixels.values)[..., :3], focal_mm=pixels.focal_mm * narrowing)
+    # what is visible is the whole photograph, whatever size EXIF states
+    lens = pixels.lens._replace(focal_mm=pixels.lens.focal_mm * narrowing, whole_px=(0, 0))
+    return pixels._replace(values=part.crop(pixels.values)[..., :3], lens=lens)
 
 
 def largest_rectangle(inside: Array) -> Part:

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from data_tools.readers.arrays import pixels_of
-from data_tools.readers.colours import Floats
+from data_tools.readers.colours import Floats, integers_to_unit_range
 from data_tools.readers.image_files import Pixels, is_readable_image, read_pixels
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Sources, sources_of_files
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
@@ -33,10 +33,12 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
+from metapp.storage.folders import list_folder
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
 _LEAST_ALPHA = 0.02  # below it a px is transparent, and its colour is not known
+_MAX_PARTIAL_SHARE = 0.05  # of px that are transparent in part, as those at the contour of a cut-out are
 _MIN_DEVIATION = 1 / 255  # standard deviation of sRGB values below which a picture has one colour
 _ROWS_AT_ONCE = 256  # rows decoded at a time: linear floats of a whole photograph take over 100 MB
 
@@ -88,12 +90,18 @@ def recognises(path: str | Path) -> bool:
 
 
 def folders_with_places(folder: Path) -> list[Path]:
-    """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones."""
-    texts = files_below(folder, (CAMERA_TEXT, LIGHT_TEXT, LIGHT_DIRECTIONS_SUFFIX))
-    names = (CAMERA_TEXT, LIGHT_TEXT)  # other names may end as these do, such as my_camera_pos.txt
-    return sorted(
-        {text.parent for text in texts if text.name in names or text.suffix.lower() == LIGHT_DIRECTIONS_SUFFIX}
-    )
+    """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones.
+
+    A text that is none, such as a folder or a pipe of its name, counts, too: reading it says what is wrong.
+    """
+    folders = {file.parent for file in files_below(folder)}
+    return sorted(folder for folder in folders if any(_states_places(entry.name) for entry in list_folder(str(folder))))
+
+
+def _states_places(name: str) -> bool:
+    """Tell whether a file of this name states positions of camera or flash."""
+    is_of_lights = name.lower().endswith(LIGHT_DIRECTIONS_SUFFIX) and not name.startswith(".")
+    return is_of_lights or name in (CAMERA_TEXT, LIGHT_TEXT)
 
 
 def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Task:
@@ -200,6 +208,15 @@ def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, leas
     if not np.isfinite(linear).all():
         raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
+        alpha = integers_to_unit_range(pixels.values[..., 3])
+        partial_share = ((alpha > _LEAST_ALPHA) & (alpha < 1 - _LEAST_ALPHA)).mean()
+        if partial_share > _MAX_PARTIAL_SHARE:
+            warnings.warn(
+                f"{name}: {partial_share:.0%} of the px are half-transparent (alpha {_LEAST_ALPHA:g} to "
+                f"{1 - _LEAST_ALPHA:g}), expected opaque ones; their colours are taken, and alpha is left out: export "
+                "the picture without alpha, or on its background.",
+                stacklevel=2,
+            )
         linear = _fill_transparent(linear, name)
     srgb = linear_to_srgb(torch.from_numpy(linear)).numpy()
     deviation = srgb.std(axis=(0, 1)).max()
@@ -244,18 +261,23 @@ def flash_view(whole: Pixels, fov_rad: float = 0.0, name: str = "photo") -> Pixe
     """Return the square middle of a photograph under a flash that the camera of fits would see.
 
     Of a camera with a narrower field of view, or an unknown one, it is the whole central square. A warning is given
-    where EXIF states a focal length otherwise than on 35 mm film.
+    where EXIF states a focal length otherwise than on 35 mm film, or one that may not hold for the picture.
 
     Args:
         whole: the photograph.
         fov_rad: the camera's field of view along the shorter side, in rad; 0: as EXIF says, if it does.
         name: the name of the photograph in the warning.
     """
-    if not fov_rad and whole.lens_note:
-        assumption = (
-            "" if whole.focal_mm else f", taken for {math.degrees(CAMERA_FOV_RAD):.0f} degrees along the shorter side"
-        )
-        warnings.warn(f"{name}: {whole.lens_note}{assumption}; --fov sets another field of view.", stacklevel=2)
+    lens = whole.picture_lens()
+    if not fov_rad and lens.note:
+        narrow, wide = (math.degrees(field_rad) for field_rad in _possible_fields_rad(whole))
+        taken = math.degrees(_known_field_rad(whole, 0.0) or CAMERA_FOV_RAD)
+        assumption = ""
+        if lens.focal_range > 1:
+            assumption = f", {narrow:.0f} to {wide:.0f} degrees along the shorter side, taken for {taken:.0f}"
+        elif lens.is_part or not lens.focal_mm:
+            assumption = f", taken for {taken:.0f} degrees along the shorter side"
+        warnings.warn(f"{name}: {lens.note}{assumption}; --fov sets another field of view.", stacklevel=2)
     fov_rad = _known_field_rad(whole, fov_rad)
     return central_square(whole, min(1.0, math.tan(CAMERA_FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
 
@@ -272,10 +294,24 @@ def narrow_view_height(whole: Pixels, fov_rad: float = 0.0) -> float:
 
 
 def _known_field_rad(whole: Pixels, fov_rad: float) -> float:
-    """Return the field of view along the shorter side, in rad: as it is given, else as EXIF says; 0 if unknown."""
-    if not fov_rad and whole.focal_mm:
-        return field_of_view_rad(whole.focal_mm, *whole.values.shape[:2])
-    return fov_rad
+    """Return the field of view along the shorter side, in rad: as it is given, else as EXIF says; 0 if unknown.
+
+    Where EXIF leaves it open within a range, it is the one that is nearest to that of fits.
+    """
+    if fov_rad:
+        return fov_rad
+    narrow, wide = _possible_fields_rad(whole)
+    return min(max(CAMERA_FOV_RAD, narrow), wide)
+
+
+def _possible_fields_rad(whole: Pixels) -> tuple[float, float]:
+    """Return the narrowest and the widest field of view along the shorter side, in rad, by EXIF; zeros if unknown."""
+    lens, (height, width) = whole.picture_lens(), whole.values.shape[:2]
+    if not lens.focal_mm:
+        return 0.0, 0.0
+    return field_of_view_rad(lens.focal_mm * lens.focal_range, height, width), field_of_view_rad(
+        lens.focal_mm, height, width
+    )
 
 
 def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:

@@ -44,9 +44,9 @@ def side_and_lines(path: Path, **options: float) -> tuple[int, list[str]]:
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
 def test_the_sensor_tells_the_field_of_view(tmp_path: Path, suffix: str) -> None:
     path = photo(tmp_path / f"a.{suffix}", CAMERA)
-    assert read_pixels(path).focal_mm == pytest.approx(EXPECTED_MM, rel=1e-5)
+    assert read_pixels(path).lens.focal_mm == pytest.approx(EXPECTED_MM, rel=1e-5)
     with Image.open(path) as image:
-        assert pixels_of_pil(image, "a").focal_mm == pytest.approx(EXPECTED_MM, rel=1e-5)
+        assert pixels_of_pil(image, "a").lens.focal_mm == pytest.approx(EXPECTED_MM, rel=1e-5)
     side, (line,) = side_and_lines(path)
     share = math.tan(math.radians(22.5)) / math.tan(field_of_view_rad(EXPECTED_MM, 300, 450) / 2)
     assert side == round(300 * share)

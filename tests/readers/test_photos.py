@@ -7,6 +7,7 @@ import random
 import struct
 import subprocess
 import sys
+import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,7 @@ from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.storage.shards import ManifestEntry, split_auto
+from tests.cli.messages import says
 from tests.found_paths import find_paths
 from tests.pictures import (
     STORED_BY_ORIENTATION,
@@ -145,6 +147,21 @@ def test_inks_and_palettes_become_rgb(tmp_path: Path) -> None:
     colours = noise_image(4, 1, 3, seed=1)
     image = read_photo(png(tmp_path / "a.png", indices, colours.tobytes()), 40)
     assert torch.equal(image, channels_first(colours[indices[..., 0], 0]))
+
+
+def test_half_transparent_photos_are_said(tmp_path: Path) -> None:
+    for number, (alpha, share) in enumerate(((128, 0.5), (128, 0.02), (255, 1.0), (0, 0.5))):
+        values = np.concatenate([noise_image(64, 64), np.full((64, 64, 1), 255, np.uint8)], axis=-1)
+        middle = slice(32 - round(16 * share), 32 + round(16 * share))  # inside, so that no border is cut off
+        values[middle, :, 3] = alpha
+        path = write_image(tmp_path / f"{number}.png", values)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            read_photo(path, 48)
+        lines = [str(warning.message) for warning in caught]
+        if (alpha, share) == (128, 0.5):
+            assert says(lines[0], path.name, "25% of the px", "half-transparent", "alpha", "their colours are taken")
+        assert len(lines) == ((alpha, share) == (128, 0.5))
 
 
 @pytest.mark.parametrize("name", ["straight.png", "straight.tif", "multiplied.exr"])
@@ -499,7 +516,7 @@ def test_fields_of_view_follow_the_user_then_the_file(tmp_path: Path) -> None:
 def test_damaged_exif_is_ignored(exif: bytes) -> None:
     picture = Image.fromarray(noise_image(48, 48))
     picture.info["exif"] = exif
-    assert pixels_of_pil(picture, "a").focal_mm == 0
+    assert pixels_of_pil(picture, "a").lens.focal_mm == 0
 
 
 # Photographs that were exposed wrongly, as if they had been exposed rightly

@@ -16,6 +16,7 @@ from data_tools.readers import flash_photos, square_photos, svbrdf_inputs
 from data_tools.readers.environment_maps import read_map
 from data_tools.readers.environment_maps import read_task as read_map_task
 from data_tools.readers.image_files import Pixels, pixels_of_pil
+from data_tools.readers.lenses import ExifLens
 from data_tools.readers.picture_borders import Part, crop_borders, find_frame, largest_rectangle
 
 COLOURS = ("white", "black", (128, 30, 40), (240, 240, 235))
@@ -159,12 +160,12 @@ def test_holes_and_cut_out_objects_stay() -> None:
 
 
 def test_field_of_view_narrows_by_corners_but_not_by_frames() -> None:
-    framed = pixels_of_pil(with_frame("white", SIDES[0]), "p")._replace(focal_mm=28.0)
-    turned = pixels_of_pil(photo().convert("RGBA").rotate(8, expand=True), "p")._replace(focal_mm=28.0)
+    framed = pixels_of_pil(with_frame("white", SIDES[0]), "p")._replace(lens=ExifLens(28.0))
+    turned = pixels_of_pil(photo().convert("RGBA").rotate(8, expand=True), "p")._replace(lens=ExifLens(28.0))
     with pytest.warns(UserWarning, match="frame"):
-        assert crop_borders(framed, "p").focal_mm == 28
+        assert crop_borders(framed, "p").lens.focal_mm == 28
     with pytest.warns(UserWarning, match="transparent"):
-        assert 30 < crop_borders(turned, "p").focal_mm < 40
+        assert 30 < crop_borders(turned, "p").lens.focal_mm < 40
 
 
 def test_floating_point_values_and_nan_are_read() -> None:

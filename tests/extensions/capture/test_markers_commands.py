@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from data_tools.readers.image_files import read_pixels
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.rectification import ONE_VIEW_SIDES, describe_single_view
+from metapp.extensions.capture.markers.rectification import (
+    ONE_VIEW_SIDES,
+    describe_doubtful_lenses,
+    describe_single_view,
+)
+from metapp.extensions.capture.markers.sighting import focal_length_mm
 from metapp.storage.folders import FolderKind, path_kind
+from tests.cli.messages import says
 from tests.extensions.capture.marker_photos import tilted_camera, write_photograph
 from tests.pictures import noise_image, write_image, write_text
 
@@ -102,6 +109,23 @@ def test_one_photograph_under_three_names_is_said_to_show_one_view(
     result = metapp("data", "rectify", tmp_path, "--out", LEAF)
     assert "warning: leaf: all photos are taken from one place, within 0.00 sides" in result.err
     assert "one place" not in metapp("data", "rectify", *paths(photo_folder), "--out", "other").err
+
+
+def test_photographs_without_a_focal_length_are_said_before_the_work(
+    metapp: Callable, photo_folder: Path, tmp_path: Path
+) -> None:
+    plain, part = tmp_path / "plain.jpg", tmp_path / "part.jpg"
+    with Image.open(photo_folder / "a.jpg") as image:
+        exif = image.getexif()
+        exif.get_ifd(0x8769).update({0xA002: 4000, 0xA003: 2000})
+        image.crop((0, 0, image.width, image.width // 2 + 300)).save(part, exif=exif)
+        image.save(plain)
+    for path, facts in ((plain, ()), (part, ("4,000 x 2,000", "a part"))):
+        lines = metapp("data", "rectify", path, "--out", "other").err.splitlines()  # one alone is refused in the end
+        assert says(lines[0], path.name, "no focal length in EXIF", "--fov", "tilted", *facts)
+        assert not says(metapp("data", "rectify", path, "--fov", "50", "--out", "other").err, "no focal length in EXIF")
+    assert describe_doubtful_lenses(paths(photo_folder)) == ""
+    assert focal_length_mm(read_pixels(part), 0.0) == 0
 
 
 def test_fewer_than_two_are_refused(metapp: Callable, photo_folder: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from data_tools.readers.image_files import Pixels
+from data_tools.readers.lenses import ExifLens
 from metapp.appearance.latlong import texel_directions
 from metapp.extensions.capture.ball.ball_geometry import (
     FAR_CAMERA_ANGLE_RAD,
@@ -51,9 +52,13 @@ def test_clipping_is_reported_and_small_balls_are_less_certain() -> None:
 
 
 def test_a_cropped_photograph_has_no_lens() -> None:
-    whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
+    whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, ExifLens(26.0))
     lens = lens_of_photo(whole, 0.0)
     assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
     assert lens_of_photo(whole._replace(values=whole.values[:, :1700]), 0.0) == PARALLEL_LENS
+    larger = whole._replace(lens=ExifLens(26.0, whole_px=(3000, 2500)))  # of which 2000 x 1500 px are a part
+    with pytest.warns(UserWarning, match=r"IMG_1.jpg: EXIF is of .*2,000 x 1,500 px are a part.*far away; --fov"):
+        assert lens_of_photo(larger, 0.0, "IMG_1.jpg") == PARALLEL_LENS
+    assert lens_of_photo(whole._replace(lens=ExifLens(26.0, whole_px=(4000, 3000))), 0.0) == lens
     given = lens_of_photo(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
     assert given == pytest.approx(PinholeLens(750, 850, 750))

@@ -6,6 +6,7 @@ Nothing here finds a ball; that is what `circle` does.
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -38,21 +39,28 @@ _JUDGED_RADIUS_SHARE = 0.92  # of the radius: farther out lies the contour, whic
 _MIRROR_WEIGHTS, _MIRROR_BIAS = (1.379, 2.596, 4.226), -7.225
 
 
-def lens_of_photo(pixels: Pixels, fov_rad: float) -> PinholeLens:
+def lens_of_photo(pixels: Pixels, fov_rad: float, name: Path | str = "photo") -> PinholeLens:
     """Return the lens of a photograph's camera.
+
+    A warning is given where the photograph has the shape of an uncropped one, but EXIF states another size.
 
     Args:
         pixels: the photograph.
         fov_rad: the field of view along the shorter side, in rad; 0 if it is not known: then EXIF gives it, if the
             photograph is not cropped, and otherwise the camera is taken to be far away.
+        name: the name of the photograph in the warning.
     """
     height, width = pixels.values.shape[:2]
     aspect = max(height, width) / min(height, width)
     is_whole = max(height, width) >= _MIN_UNCROPPED_PX and any(
         abs(aspect / uncropped_aspect - 1) < 0.01 for uncropped_aspect in _UNCROPPED_ASPECTS
     )
-    if not fov_rad and pixels.focal_mm and is_whole:
-        fov_rad = field_of_view_rad(pixels.focal_mm, height, width)
+    exif_lens = pixels.picture_lens()
+    if not fov_rad and exif_lens.note and is_whole:
+        taken = "" if exif_lens.focal_mm and not exif_lens.is_part else ", the camera is taken to be far away"
+        warnings.warn(f"{name}: {exif_lens.note}{taken}; --fov sets the field of view.", stacklevel=2)
+    if not fov_rad and exif_lens.focal_mm and is_whole and not exif_lens.is_part:
+        fov_rad = field_of_view_rad(exif_lens.focal_mm, height, width)
     return (
         PinholeLens(min(height, width) / 2 / math.tan(fov_rad / 2), width / 2, height / 2) if fov_rad else PARALLEL_LENS
     )

@@ -113,7 +113,7 @@ def capture_light(
     for path in paths:
         pixels = read_pixels(path, layer)
         check_finite_pixels(pixels, path)
-        grey, lens = display_values(pixels).mean(-1), lens_of_photo(pixels, fov_rad)
+        grey, lens = display_values(pixels).mean(-1), lens_of_photo(pixels, fov_rad, path)
         photos.append(pixels)
         found_balls.append(Ball(circle[0], circle[1], circle[2], lens) if circle else find_ball(grey, lens))
         brightness.append(float(grey.mean()))
@@ -159,7 +159,7 @@ def capture_single_photo(pixels: Pixels, name: str, square: Tensor, rows: int, f
     check_finite_pixels(pixels, name)
     height, width = pixels.values.shape[:2]
     grey, central_ball = display_values(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
-    ball = find_ball(grey, lens_of_photo(pixels, fov_rad)) or central_ball
+    ball = find_ball(grey, lens_of_photo(pixels, fov_rad, name)) or central_ball
     is_same = max(np.abs(np.subtract(ball[:3], central_ball[:3]))) < _SAME_BALL_SHARE * central_ball.radius
     central_score = score_ball(grey, central_ball)
     is_central = is_same or ball.score < max(MIN_BALL_SCORE, _MIN_SCORE_GAIN * central_score)

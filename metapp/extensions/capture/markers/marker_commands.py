@@ -91,7 +91,7 @@ def rectify_command(
             )
             say(f"{photo['file']}: {found_text}, {camera_text}, tilted by {photo['tilt_degrees']:.0f}")
         if focal_mm:
-            say(f"focal length: {focal_mm:.1f} mm on 35 mm film, found by the {basis}, as EXIF has none")
+            say(f"focal length: {focal_mm:.1f} mm on 35 mm film, found by the {basis}, as EXIF has none that holds")
         side = f"{first.opening_cm:g} cm, {size}" if first.shows_sheet else f"{size}"
         say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND_FOLDER}")
     if as_json:

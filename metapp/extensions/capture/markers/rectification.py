@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from data_tools.readers.image_files import lens_of
+from data_tools.readers.lenses import ExifLens
 from data_tools.readers.square_photos import find_images
 from metapp.extensions.capture.markers.found_outlines import FoundOutlines
 from metapp.extensions.capture.markers.marker_options import RectifyOptions
@@ -100,6 +102,8 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     if len(names) > options.most:
         say(f"{len(names)} photos: {options.most} of them, spread evenly, are taken; --most {len(names)} takes all")
         names = [names[row] for row in np.linspace(0, len(names) - 1, options.most).round().astype(int)]
+    if not options.fov and (line := describe_doubtful_lenses(names)):
+        say(f"warning: {line}")
     found_outlines, failed_picture = FoundOutlines(), _failed_picture_path(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:
@@ -173,6 +177,30 @@ def _draw_found(
     with progress(picture.name, quiet=quiet), contextlib.suppress(OSError, ValueError):
         return found_outlines.write(names, reason, picture)
     return False
+
+
+def describe_doubtful_lenses(paths: Sequence[Path]) -> str:
+    """Return the line that EXIF does not surely tell the field of view of photographs; "" if it does for all of them.
+
+    It is said before the work, which takes minutes, and at whose end too little tilt may show.
+    """
+    lenses: dict[Path, ExifLens] = {}
+    for path in paths:
+        with contextlib.suppress(ValueError, OSError):  # reading the photograph says what is wrong
+            lenses[path] = lens_of(path)
+    unknown = {path: lens for path, lens in lenses.items() if lens.is_part or not lens.focal_mm}
+    doubtful = unknown or {path: lens for path, lens in lenses.items() if lens.focal_range > 1}
+    if not doubtful:
+        return ""
+    path, lens = next(iter(doubtful.items()))
+    further = f" and {len(doubtful) - 1} more of {len(paths)} photos" if len(doubtful) > 1 else ""
+    reason = f" ({lens.note})" if lens.note else ""
+    taken = "looked for by how tilted photos differ, in vain from straight above"
+    if not unknown:
+        taken = f"{lens.focal_mm:.0f} mm is taken"
+    return (
+        f"{path}{further}: no focal length in EXIF that surely holds{reason}; {taken}: --fov DEGREES states the field."
+    )
 
 
 def describe_single_view(places: Sequence[Sequence[float]]) -> str:

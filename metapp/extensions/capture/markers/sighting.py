@@ -202,12 +202,13 @@ def focal_length_mm(pixels: Pixels, fov_rad: float) -> float:
         fov_rad: the field of view along the shorter side; 0 if EXIF is to give the focal length.
 
     Returns:
-        The focal length; 0 if it is not known.
+        The focal length; 0 if it is not known, as of a part of the photograph that EXIF describes.
     """
     height, width = pixels.values.shape[:2]
     # This inverts `data_tools.readers.square_photos.field_of_view_rad`.
     focal_share = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
-    return FILM_DIAGONAL_MM * focal_share or pixels.focal_mm
+    lens = pixels.picture_lens()
+    return FILM_DIAGONAL_MM * focal_share or (0.0 if lens.is_part else lens.focal_mm)
 
 
 def solve_camera(sighting: Sighting, focal_mm: float) -> Camera:
