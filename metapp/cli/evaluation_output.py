@@ -16,13 +16,12 @@ from metapp.cli.command_process import state_what_interruption_keeps
 from metapp.cli.console import escape_control_characters, print_json, standard_output
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
-from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
+from metapp.evaluation.table import Table, filled_columns, flatten_row, format_csv, format_tables
 from metapp.registry import registry
 from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import application_named, check_observation, fit_options
 from metapp.runs.reporter import say
 
-MAX_NOTE_LINES = 10  # lines of notes that a terminal shows below all tables
 MIN_COLUMNS = 3  # columns that are shown however narrow the terminal is
 FIT_OPTION_NAMES = (
     "rule",
@@ -116,14 +115,10 @@ def print_table(table: Table, notes: list[str]) -> None:
 
 
 def print_notes(notes: Sequence[str]) -> None:
-    """Print numbered notes on tables, in at most MAX_NOTE_LINES lines."""
-    wrapped = [textwrap.wrap(f"[{i}] {note}", standard_output().width) for i, note in enumerate(notes, 1)]
-    while (lines := [line for note_lines in wrapped for line in note_lines]) and len(lines) > MAX_NOTE_LINES - (
-        len(wrapped) < len(notes)
-    ):
-        del wrapped[-1]
-    if omitted := len(notes) - len(wrapped):
-        lines.append(f"{omitted} further notes: --format markdown")
+    """Print the numbered notes on tables, below all of them: each is cited by the title of a table above."""
+    lines = [
+        line for i, note in enumerate(notes, 1) for line in textwrap.wrap(f"[{i}] {note}", standard_output().width)
+    ]
     if lines:
         standard_output().print("\n".join(lines))
 
@@ -137,7 +132,7 @@ def make_rich_table(table: Table, width: int | None = None) -> RichTable:
     """
     rich_table = RichTable()
     free_width, columns = (width or standard_output().width) - 1, list[list[str]]()
-    for column in table.columns:
+    for column in filled_columns([table]):
         lines = [
             part for part in column.title.rpartition(" ")[::2] if part
         ]  # a title takes two lines, as most columns hold short numbers

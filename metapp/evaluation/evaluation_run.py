@@ -6,6 +6,7 @@ once where it is missing, and is kept. The module knows neither what a table sho
 
 from __future__ import annotations
 
+import functools
 import statistics
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
@@ -22,7 +23,7 @@ from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
 from metapp.runs.choice import Choice, find_and_choose
-from metapp.runs.data_sets.embedded import has_embedded_tests
+from metapp.runs.data_sets.embedded import has_embedded_tests, is_embedded
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fitter import Fitter
 from metapp.runs.inputs.run_inputs import read_test_tasks, task_digest
@@ -110,6 +111,15 @@ class EvaluationRun:
     def observes_default(self) -> bool:
         """Whether fits see what they see by default, as the paper's do."""
         return self.app.observes == self.choice.application.default_observation
+
+    @functools.cached_property
+    def has_paper_figures(self) -> bool:
+        """Whether the paper's figures stand beside ours: on embedded tasks alone, where fits see what the paper's do.
+
+        Errors on a user's own data say nothing beside errors on other data.
+        """
+        data = self.choice.options.data
+        return self.observes_default and (data is None or is_embedded(data))
 
     @property
     def groups(self) -> dict[str, str]:

@@ -11,6 +11,7 @@ import json
 import statistics
 from collections.abc import Sequence
 from importlib import resources
+from typing import Any
 
 from metapp.evaluation.error_statistics import (
     MIN_TASK_GROUPS,
@@ -96,13 +97,26 @@ def make_row(
     return row
 
 
-def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
-    """Return the error and the seconds that the paper states for a paradigm, as entries of a row.
+def paper_figure(evaluation: EvaluationRun, *keys: str) -> Any:
+    """Return one of the paper's figures, to stand beside those of an evaluation.
 
-    An entry is None if the paper states no such figure, as where fits see something else than the paper's do.
+    Args:
+        evaluation: the application, with its tasks.
+        keys: the keys of `paper.json` that lead to the figure.
+
+    Returns:
+        The figure; None if the paper states none, or if it does not belong beside this evaluation's, see
+        :attr:`metapp.evaluation.evaluation_run.EvaluationRun.has_paper_figures`.
     """
-    figures, app = paper_figures() if evaluation.observes_default else {}, evaluation.app
-    return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
+    figure: Any = paper_figures() if evaluation.has_paper_figures else {}
+    for key in keys:
+        figure = figure.get(key, {})
+    return None if figure == {} else figure
+
+
+def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
+    """Return the error and the seconds that the paper states for a paradigm, as entries of a row; None for no figure."""
+    return {f"paper_{key}": paper_figure(evaluation, key, evaluation.app.name, name) for key in ("error", "seconds")}
 
 
 def errors_by_task(records: Sequence[FitRecord]) -> ErrorsByTask:

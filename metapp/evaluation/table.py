@@ -26,11 +26,13 @@ class Column(NamedTuple):
         title: the words above it.
         key: the key of the row's entry that it shows; a dash stands for an entry that is missing or None.
         form: a format of numbers, or "" for words, which are aligned left, or a function from the row to its text.
+        is_optional: whether the column is left out where no row has an entry for it, as columns of the paper's figures.
     """
 
     title: str
     key: str
     form: str | Callable[[Row], str] = ""
+    is_optional: bool = False
 
     def text(self, row: Row) -> str:
         """Return the text that this column shows for a row."""
@@ -46,7 +48,8 @@ class Table(NamedTuple):
     Attributes:
         app_title: the application's title.
         title: what the figures of the table are.
-        columns: the columns from left to right, after the application's; a terminal shows as many as it has room for.
+        columns: the columns from left to right, after the application's, see :func:`filled_columns`; a terminal shows as
+            many as it has room for.
         rows: a row for each method; empty if the application has nothing to show.
         notes: sentences on columns and rows, which tables may share.
         fits: records of fits that a picture shows side by side, by the method's name.
@@ -66,6 +69,16 @@ class Table(NamedTuple):
         """The title with the application and the number of tasks."""
         count = max((row["tasks"] for row in self.rows), default=0)
         return f"{self.app_title}, {f'{count} unseen tasks: ' if count else ''}{self.title}"
+
+
+def filled_columns(tables: Sequence[Table]) -> tuple[Column, ...]:
+    """Return the columns that tables of equal columns show: all but optional ones in which every row has a dash."""
+    rows = [row for table in tables for row in table.rows]
+    return tuple(
+        column
+        for column in tables[0].columns
+        if not column.is_optional or any(row.get(column.key) is not None for row in rows)
+    )
 
 
 def bytes_column(title: str, key: str) -> Column:
@@ -94,8 +107,8 @@ COMMON_COLUMNS = {
     "rule": (Column("rule", "rule"),),
     "error": (Column("error", "error", lambda row: f"{row['error']:.3f}" + "*" * bool(row.get("few"))),),
     "seconds": (Column("seconds", "seconds", ".4f"),),
-    "paper error": (Column("paper error", "paper_error", ".3f"),),
-    "paper seconds": (Column("paper seconds", "paper_seconds", ".3f"),),
+    "paper error": (Column("paper error", "paper_error", ".3f", is_optional=True),),
+    "paper seconds": (Column("paper seconds", "paper_seconds", ".3f", is_optional=True),),
     "interval": (Column("95 % interval", "low", lambda row: f"{row['low']:.3f} .. {row['high']:.3f}"),),
     "steps": (Column("steps", "steps", "d"),),
     "median": (Column("median", "median", ".3f"),),
@@ -157,7 +170,7 @@ def format_tables(tables: Sequence[Table], form: str) -> str:
         tables: the tables.
         form: "markdown" or "latex".
     """
-    shown_columns = tables[0].columns
+    shown_columns = filled_columns(tables)
     header = ["app", *(column.title for column in shown_columns)]
     body = [
         [full_app_name(row), *(column.text(row) for column in shown_columns)] for table in tables for row in table.rows

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from msgspec.structs import replace
 
 from metapp.evaluation.evaluation_run import EvaluationRun, select_evenly
-from metapp.evaluation.rows import make_row, paper_figures
+from metapp.evaluation.rows import make_row, paper_figure, paper_figures
 from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
@@ -27,13 +27,14 @@ FURTHER_STEPS = (8, 16, 32, 65, 130)  # gradient steps by Adam after Meta's own
 CONVERGENCE_COLUMNS = columns(
     "paradigm",
     *(Column("of its steps", "part"), Column("step", "step")),
-    *("error", "interval", Column("paper further steps", "paper_further", "d"), "median", "worst"),
+    *("error", "interval", Column("paper further steps", "paper_further", "d", is_optional=True), "median", "worst"),
 )
 
 
 def convergence(evaluation: EvaluationRun) -> Table:
     """Make the table of Meta's errors after shares of its steps and after further steps, beside Overfit's error."""
-    records, paper = trace_records(evaluation), paper_figures()["further_steps"]
+    records, within = trace_records(evaluation), paper_figures()["further_steps"]["within"]
+    paper_steps = paper_figure(evaluation, "further_steps", "steps")
 
     def step_row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
         traced = [replace(record, error=error) for record, error in zip(records, errors, strict=True)]
@@ -46,10 +47,10 @@ def convergence(evaluation: EvaluationRun) -> Table:
         return step_row(paradigm, f"{share:.0%}", step, errors)
 
     further_row = step_row("meta", "further", None, [record.figures["further"][-1][1] for record in records])
-    further_row["paper_further"] = paper["steps"]
+    further_row["paper_further"] = paper_steps
     notes = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER_STEPS))} steps; step: the "
-        f"median over tasks of the further steps after which Meta is within {paper['within']:.0%} of Overfit",
+        f"median over tasks of the further steps after which Meta is within {within:.0%} of Overfit",
     ]
     if needed_steps := [further_steps_needed(record) for record in records]:
         median = sorted(needed_steps, key=lambda value: FURTHER_STEPS[-1] + 1 if value is None else value)[
@@ -58,8 +59,8 @@ def convergence(evaluation: EvaluationRun) -> Table:
         further_row |= {"further": median, "near": sum(value is not None for value in needed_steps)}
         further_row["step"] = f"+{median}" if median is not None else f"> +{FURTHER_STEPS[-1]}"
         notes.append(
-            f"{further_row['near']} of {len(records)} tasks come within {paper['within']:.0%} of Overfit "
-            f"(paper: after {paper['steps']} further steps)"
+            f"{further_row['near']} of {len(records)} tasks come within {within:.0%} of Overfit"
+            + (f" (paper: after {paper_steps} further steps)" if paper_steps else "")
         )
     notes.append(f"traces of {len(_select_traced(evaluation))} of {len(evaluation.tasks)} tasks, evenly spaced")
     rows = [*(row_at_share("meta", share) for share in STEP_SHARES), further_row, row_at_share("overfit", 1.0)]

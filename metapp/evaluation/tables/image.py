@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from metapp.appearance.picture_measures import describe_picture_measures, measure_pictures
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME, TimedFit
 from metapp.evaluation.evaluation_run import EvaluationRun
-from metapp.evaluation.rows import errors_by_task, make_row, paper_figures, subset_note
+from metapp.evaluation.rows import errors_by_task, make_row, paper_figure, paper_figures, subset_note
 from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
@@ -25,9 +25,9 @@ IMAGE_COLUMNS = columns(
     "paradigm",
     Column("measure", "measure"),
     Column("mean", "error", ".3f"),
-    Column("paper", "paper_error", ".3f"),
+    Column("paper", "paper_error", ".3f", is_optional=True),
     Column(f"share >= {paper_figures()['ssim']['at_least']}", "share", ".0%"),
-    Column("paper share", "paper_share", ".0%"),
+    Column("paper share", "paper_share", ".0%", is_optional=True),
     *("interval", "worst"),
 )
 
@@ -87,19 +87,19 @@ def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[FitRec
         records: the records of tasks, with their measures.
         key: the measure; "" if nothing was measured yet.
     """
-    figures, app, measure = paper_figures(), evaluation.app.name, registry().measures.get(key)
-    bound, is_ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
+    app, measure = evaluation.app.name, registry().measures.get(key)
+    bound, is_ssim = paper_figures()["ssim"]["at_least"], key.startswith("SSIM")
     more_is_better = is_ssim or (measure is not None and measure.load().more_is_better)
 
     measured = [replace(record, error=record.figures["measures"].get(name, {}).get(key)) for record in records]
     values = list(errors_by_task(measured).values())
     return make_row(evaluation, name, measured, {}) | {
         "measure": key or None,
-        "paper_error": figures["image"].get(app, {}).get(key, {}).get(name),
+        "paper_error": paper_figure(evaluation, "image", app, key, name),
         "worst": (min(values) if more_is_better else max(values)) if values else None,
         "share": statistics.fmean(value >= bound for value in values) if is_ssim and values else None,
         "measured": len(values),
-        "paper_share": figures["ssim"]["share"].get(app, {}).get(name) if is_ssim else None,
+        "paper_share": paper_figure(evaluation, "ssim", "share", app, name) if is_ssim else None,
     }
 
 
@@ -122,6 +122,6 @@ def image_notes(evaluation: EvaluationRun, rows: list[Row]) -> list[str]:
     ]
     if any(row["paper_share"] is not None for row in rows):
         lines.append(f"paper: {sources['ssim']}")
-    if evaluation.app.name in paper_figures()["image"]:
+    if paper_figure(evaluation, "image", evaluation.app.name):
         lines.append(f"paper: {sources['image']}")
     return lines

@@ -42,7 +42,7 @@ def results(evaluation: EvaluationRun) -> Table:
         row["shared_error"] = statistics.fmean(errors[task] for task in overfit_errors) if is_known else None
     notes = [
         *subset_note(evaluation),
-        *(["the paper measured its figures on other data and another machine"] if evaluation.observes_default else []),
+        *(["the paper measured its figures on other data and another machine"] if evaluation.has_paper_figures else []),
         *comparison_notes(rows),
     ]
     title = f"mean error{evaluation.app.error_measure.factor}, median seconds of inference"
@@ -89,10 +89,13 @@ def describe_gap(evaluation: EvaluationRun, rows: list[Row]) -> str:
         return f"{text}{floor}, speed-up of {meta} over it {format_number(speed_up, '.0f')}"
     paper_gap, paper_speed_up = scale_free_figures(rows, "paper_error", "paper_seconds")
     mark = "*" * (gap is not None and any(row["few"] for row in rows))
+    paper_texts = [
+        "" if figure is None else f" (paper {figure:{form}})"
+        for figure, form in ((paper_gap, ".2f"), (paper_speed_up, ".0f"))
+    ]
     return (
-        f"gap closed {format_number(gap, '.2f')}{mark} (paper {format_number(paper_gap, '.2f')}), "
-        f"speed-up of {meta} over Overfit {format_number(speed_up, '.0f')} "
-        f"(paper {format_number(paper_speed_up, '.0f')})"
+        f"gap closed {format_number(gap, '.2f')}{mark}{paper_texts[0]}, "
+        f"speed-up of {meta} over Overfit {format_number(speed_up, '.0f')}{paper_texts[1]}"
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.evaluation.evaluation_run import EvaluationRun
-from metapp.evaluation.rows import make_row, paper_figures
+from metapp.evaluation.rows import make_row, paper_figure, paper_figures
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
@@ -27,7 +27,7 @@ SAMPLE_COLUMNS = columns(
     Column("seen", "seen", ",d"),
     Column("of", "all", ",d"),
     Column("saved", "saved", ".1%"),
-    Column("paper saved", "paper_saved", ".1%"),
+    Column("paper saved", "paper_saved", ".1%", is_optional=True),
     Column("bytes seen", "seen_bytes", ",d"),
     Column("bytes of all", "all_bytes", ",d"),
     Column("steps", "steps", ",d"),
@@ -69,15 +69,15 @@ def storage(evaluation: EvaluationRun) -> Table:
         f"one network: {network_bytes:,} bytes; factor: bytes for m = {exemplars} over the bytes of m networks; pays "
         "from: the m from which on a checkpoint is smaller than m networks",
         "a checkpoint makes a network anew only from the exemplar itself, whose bytes are not counted",
-        f"paper: {figures['meta_networks']} networks for any m, factor {figures['meta_networks']}/m = "
-        f"{figures['factor']:g}",
     ]
+    if (networks := paper_figure(evaluation, "storage", "meta_networks")) is not None:
+        notes.append(f"paper: {networks} networks for any m, factor {networks}/m = {figures['factor']:g}")
     return Table(evaluation.title, "bytes for m exemplars", STORAGE_COLUMNS, rows, notes)
 
 
 def samples(evaluation: EvaluationRun) -> Table:
     """Make the table of samples of a task that each paradigm's encoder and steps see, at most all there are."""
-    figures = paper_figures()["samples"].get(evaluation.app.name)
+    figures = paper_figure(evaluation, "samples", evaluation.app.name)
     rows = [_make_sample_row(evaluation, name) for name in evaluation.choices]
     meta_row = next(row for row in rows if row["paradigm"] == "meta")
     meta_row["paper_saved"] = figures and figures["saved"]

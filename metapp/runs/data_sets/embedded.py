@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # set in the cache is not taken for a new one.
 DEFAULT_SET_VERSION = 1
 
+_MAKER = "metapp data synth"  # what manifests of embedded sets state as `made_by`
 _SPLIT_NOTE = "part"  # the note of a folder that holds one split only, whose value names the split
 
 
@@ -138,6 +139,15 @@ def embedded_folders(application: Application) -> list[Path]:
     return [folder for folder in folders if is_data_set(folder)]
 
 
+def is_embedded(folder: Path) -> bool:
+    """Test whether a data set was drawn as an embedded one, of any seed, count and options, in the cache or elsewhere.
+
+    Raises:
+        ValueError: the folder holds no data set, or its manifest cannot be read.
+    """
+    return read_manifest(folder).notes.get("made_by") == _MAKER
+
+
 def has_embedded_training(application: Application) -> bool:
     """Test whether the whole default embedded set has been made already, with its training tasks."""
     return application.synthetic is not None and _cached_set_path(
@@ -205,7 +215,7 @@ def _notes(application: Application, seed: int, count: int, options: Mapping[str
         ValueError: the set does not have one of the options.
     """
     module, option_names = embedded_module(application), _option_names(application)
-    notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", DEFAULT_SET_VERSION), "seed": seed}
+    notes = {"made_by": _MAKER, "version": getattr(module, "VERSION", DEFAULT_SET_VERSION), "seed": seed}
     for name, value in options.items():
         if name not in option_names:
             raise ValueError(

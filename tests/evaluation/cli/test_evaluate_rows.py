@@ -142,6 +142,7 @@ def test_picture_table_has_the_registered_measures(data: Path, evaluated_folder:
     shutil.rmtree(kept)
     subject = evaluation_run_of(data, runs)
     subject.presenter = Measured(subject.app, subject.choice.application)
+    subject.has_paper_figures = True  # as of embedded tasks
     by = {(row["paradigm"], row["measure"]): row for row in table_rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5
     assert by["regular", "SSIM"]["error"] is None

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from metapp.cli.evaluation_output import MAX_NOTE_LINES, make_rich_table
+from metapp.cli.evaluation_output import make_rich_table
 from metapp.evaluation.evaluation_run import LONG_FIT_TASKS, EvaluationRun
+from metapp.evaluation.table import filled_columns
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
 from tests.evaluation.cli.evaluation_runs import table_rows
@@ -133,7 +134,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, evaluat
         assert max(map(len, text.splitlines())) <= width
         assert "…" not in text
         if width == 200:
-            assert len(make_rich_table(table, width).columns) == len(table.columns)
+            assert len(make_rich_table(table, width).columns) == len(filled_columns([table]))
         for row in table.rows:
             assert table.columns[0].text(row) in text, name
 
@@ -146,11 +147,49 @@ def test_notes_are_numbered_below_all_tables(evaluate: Callable, evaluated_folde
     below = lines[lines.index(next(line for line in lines if line.startswith("[1] "))) :]
     first_lines = [line for line in below if line.startswith("[")]  # on a busy machine a note on it takes two lines
     assert [line.split()[0] for line in first_lines] == [f"[{number}]" for number in re.findall(r"\d+", lines[0])[2:]]
-    assert below[1].startswith("[2] vs quickft: ratio of mean errors, 95 % interval")
-    many = evaluate(*common, "--which", "all").out.splitlines()
-    below = many[many.index(next(line for line in many if line.startswith("[1] "))) :]
-    assert len(below) <= MAX_NOTE_LINES
-    assert re.fullmatch(r"\d+ further notes: --format markdown", below[-1])
+    assert below[0].startswith("[1] vs quickft: ratio of mean errors, 95 % interval")
+    many = evaluate(*common, "--which", "all").out
+    titles = re.findall(r"^BRDF, [^\[]*\[([\d,\s]+)\]$", many, re.MULTILINE)
+    cited = {number for numbers in titles for number in re.findall(r"\d+", numbers)}
+    printed = re.findall(r"^\[(\d+)\] ", many, re.MULTILINE)
+    assert printed == [str(number) for number in range(1, 1 + len(printed))]
+    assert cited == set(printed)
+    assert len(printed) > 10
+
+
+@pytest.mark.parametrize("form", ["rich", "markdown", "latex", "csv", "json"])
+def test_no_figure_of_the_paper_stands_beside_own_data(
+    form: str, evaluate: Callable, evaluated_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "250")  # a terminal with room for all columns
+    result = evaluate("--out", evaluated_folder / "runs", "--no-run", "--which", "all", "--format", form)
+    assert result.code == 0, result.err
+    if form in ("csv", "json"):
+        shown = evaluate("--out", evaluated_folder / "runs", "--no-run", "--which", "all", "--json").json_document
+        figures = {key: value for row in shown["rows"] for key, value in row.items() if key.startswith("paper_")}
+        assert {"paper_error", "paper_seconds", "paper_saved", "paper_further"} <= set(figures)
+        assert set(figures.values()) == {None}
+    else:
+        assert "paper" not in result.out
+
+
+def test_the_papers_figures_stand_beside_embedded_tasks_wherever_they_lie(
+    metapp: Callable,
+    write_nbrdf_networks: Callable[[int], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is what the set holds that counts, not whether --data names it; a set that is joined with own data is own."""
+    monkeypatch.chdir(tmp_path)
+    assert metapp("data", "synth", "brdf", "--count", "2", "--out", "embedded", "--quiet").code == 0
+    assert metapp("data", "nbrdf", write_nbrdf_networks(1), "--split", "test", "--out", "own", "--quiet").code == 0
+    assert metapp("data", "join", "embedded", "own", "--out", "joined", "--quiet").code == 0
+    for folder, expected in (("embedded", 0.72), ("joined", None), ("own", None)):
+        shown = metapp("evaluate", "brdf", "--data", folder, "--no-run", "--format", "json")
+        rows = {row["paradigm"]: row for row in shown.json_document["rows"]}
+        assert (rows["meta"]["paper_error"], rows["meta"]["paper_seconds"] is None) == (expected, expected is None)
+        table = metapp("evaluate", "brdf", "--data", folder, "--no-run").out
+        assert ("paper" in table) == (expected is not None)
 
 
 def test_tables_are_printed_before_pictures_are_drawn(
@@ -191,7 +230,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: Eva
         few["general"]["shared_error"] - few["overfit"]["shared_error"]
     )
     table = short_evaluation.table("results")
-    assert table.findings[1].startswith(f"gap closed {gap:.2f}* (paper 0.93), speed-up of Meta (meta-curvature) over")
+    assert table.findings[1].startswith(f"gap closed {gap:.2f}*, speed-up of Meta (meta-curvature) over")
     assert "*: on 2 evenly spaced tasks; --whole measures all" in table.notes
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
     assert not any("*" in note for note in evaluation_run.table("results").notes)
