@@ -15,7 +15,7 @@ import metapp
 photo, folder = map(Path, sys.argv[1:])
 fit = metapp.fit("svbrdf_nonstationary", photo, observe="photo")
 for form in ("asset", "blender", "gltf"):
-    fit.export(form, folder / form / fit.name)
+    fit.export(form, folder / form / fit.name, overwrite=True)
 description = json.loads((folder / "asset" / fit.name / "material.json").read_text(encoding="utf-8"))
 size, height = description["size"], description["files"][f"{fit.name}_height.png"]
 print(f"{fit.name}: {size['width']} x {size['height']} texels, fitted in {fit.seconds:.2f} s")

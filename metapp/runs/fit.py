@@ -28,9 +28,9 @@ from metapp.runs.choice import Choice
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit_options import check_export
 from metapp.runs.outputs.contact_sheet import place_side_by_side, srgb_image
-from metapp.runs.outputs.fit_files import export_fit, render_outputs
+from metapp.runs.outputs.fit_files import export_to_new_files, render_outputs
 from metapp.storage import Document
-from metapp.storage.files import write_bytes
+from metapp.storage.files import require_new_file, write_bytes
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import pack_fit
 from metapp.storage.image_writers import png_data_url
@@ -209,28 +209,53 @@ class Fit:
                 [srgb_image(linear) for name, linear in previews.items() if name in ("reference", "fit")]
             )
 
-    def save(self, path: str | bytes | PathLike[str]) -> Path:
+    def save(self, path: str | bytes | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the parameters and the record as a safetensors file, which :func:`metapp.load` reads.
 
         The file is there whole or not at all.
 
+        Args:
+            path: the file to write.
+            overwrite: whether an existing file is replaced.
+
+        Returns:
+            The file.
+
         Raises:
+            FileExistsError: the file is there already.
             OSError: the file cannot be written.
         """
         file = Path(os.fsdecode(path))
+        require_new_file(file, overwrite=overwrite)
         write_bytes(file, pack_fit(self.record, self.parameters))
         return file
 
-    def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
+    def export(self, form: str, path: str | bytes | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the fit in another file format.
 
         Args:
             form: the name of the format, such as "merl" for a BRDF or "gltf" for a material.
-            path: the file to write, without suffix.
+            path: the file to write, or the folder for formats of several files, without suffix.
+            overwrite: whether existing files are replaced.
+
+        Returns:
+            The file that was written, with its suffix, or the folder of the files.
 
         Raises:
             BadOption: fits of this application cannot be written in this format, or a library for it is missing.
+            FileExistsError: a file of the export is there already.
+            ValueError: the format cannot hold this fit.
+            OSError: the files cannot be written.
+
+        >>> import metapp, tempfile
+        >>> gray = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.1))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     gray.export("merl", f"{folder}/gray").name
+        'gray.binary'
         """
         check_export(form, self.choice.application)
         with torch_defaults(single=self.app.small_tensors):
-            export_fit(self.choice, self.task, self.parameters, Path(os.fsdecode(path)), form, self.record.settings)
+            return export_to_new_files(
+                *(self.choice, self.task, self.parameters, Path(os.fsdecode(path)), form, self.record.settings),
+                overwrite=overwrite,
+            )

@@ -268,6 +268,37 @@ def make_writable_folder(folder: Path) -> None:
         pass
 
 
+def require_new_file(path: Path, *, overwrite: bool) -> None:
+    """Refuse to replace a file, unless it may be replaced: one that is there already may be a measurement.
+
+    Raises:
+        FileExistsError: the file is there already, or a link of its name is.
+    """
+    if not overwrite and os.path.lexists(path):
+        raise FileExistsError(f"{path}: is there already, expected a new file; overwrite=True replaces it.")
+
+
+def move_files(source: Path, target: Path, *, overwrite: bool) -> None:
+    """Move a file, or all files of a folder, to another place on the same disk; other files that are there stay.
+
+    Args:
+        source: the file or the folder.
+        target: the path that it gets; missing folders are made.
+        overwrite: whether existing files are replaced.
+
+    Raises:
+        FileExistsError: a file is there already; nothing was moved.
+        OSError: a file cannot be moved.
+    """
+    files = [file for file in (source, *source.rglob("*")) if file.is_file()]
+    places = [target / file.relative_to(source) for file in files]
+    for place in places:
+        require_new_file(place, overwrite=overwrite)
+    for file, place in zip(files, places, strict=True):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(file, place)
+
+
 def partial_path(path: Path) -> Path:
     """Return a temporary path for a file that is being written: in the same folder, with an equal suffix.
 

@@ -29,6 +29,7 @@ from metapp.storage.files import read_tensors, to_json_value
 from metapp.storage.fit_store import RECORD, pack_fit, write_fit
 from metapp.storage.parameters import check_params
 from tests import pictures
+from tests.cli.messages import says
 from tests.needs_mitsuba import needs_mitsuba
 from tests.recipe_apps import app_by_recipe
 from tests.scene_files import OBJ
@@ -158,15 +159,46 @@ def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -
         assert all(torch.equal(parameters[key], value) for key, value in general.parameters.items())
     assert (again.name, again.error, again.settings) == (general.name, general.error, general.settings)
     assert again.picture().tobytes() == general.picture().tobytes()
-    general.export("nbrdf", tmp_path / "again")
+    assert general.export("nbrdf", tmp_path / "again") == tmp_path / "again"
     assert api.fit("brdf", tmp_path / "again", paradigm="general").name == "again"
     for form in ("bsdf", "osl"):
         for name in (f"gold.{form}", "gold.1"):  # the suffix may be given; what follows another dot is none
-            general.export(form, tmp_path / form / name)
+            file = general.export(form, tmp_path / form / name)
+            assert file == tmp_path / form / f"{name.removesuffix(f'.{form}')}.{form}"
+            assert file.is_file()
         assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
     forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
     with pytest.raises(ValueError, match=f"--export 'blend': brdf expects one of {forms}"):
         general.export("blend", tmp_path / "x")
+
+
+def write_by_name(fit: api.Fit, kind: str, folder: Path, **options: bool) -> Path:
+    """Write a fit into a folder, by a method of `Fit` or in a form of `export`, and return the path."""
+    if kind in ("save", "view"):
+        path: Path = getattr(fit, kind)(folder / f"gold.{'html' if kind == 'view' else 'safetensors'}", **options)
+        return path
+    return fit.export(kind, folder / "gold", **options)
+
+
+@pytest.mark.parametrize("kind", ["save", "view", "glsl", "merl", "materialx"])
+def test_a_file_at_a_path_that_is_named_is_replaced_only_where_that_is_asked_for(
+    kind: str, general: api.Fit, tmp_path: Path
+) -> None:
+    """Such a file may be the measurement that was fitted; files of other names beside it stay."""
+    folder = tmp_path / "gold"
+    path = write_by_name(general, kind, folder)
+    first = path if path.is_file() else min(path.iterdir())
+    whole = first.read_bytes()
+    first.write_bytes(b"a measurement")
+    (folder / "gold.txt").write_text("notes")
+    files = sorted(folder.rglob("*"))
+    with pytest.raises(FileExistsError) as refusal:
+        write_by_name(general, kind, folder)
+    assert says(str(refusal.value), str(first), "is there already", "overwrite=True")
+    assert (first.read_bytes(), sorted(folder.rglob("*"))) == (b"a measurement", files)
+    assert write_by_name(general, kind, folder, overwrite=True) == path
+    assert first.read_bytes() == whole
+    assert sorted(folder.rglob("*")) == files
 
 
 @pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks

@@ -26,7 +26,7 @@ from metapp.runs.fit_options import fit_options
 from metapp.runs.outputs.run_records import RunRecords, find_fitted_tasks, group_by_settings, read_run_records
 from metapp.runs.reporter import format_number, progress, say
 from metapp.storage import Document
-from metapp.storage.files import file_name
+from metapp.storage.files import file_name, require_new_file
 
 MAX_PAGE_TASKS = 20  # default number of tasks of a page
 PAGE_FILE_NAME = "view.html"
@@ -137,19 +137,23 @@ def make_labelled_view(fit: Fit, label: str) -> View:
     return view._replace(label=label, caption=f"{error}{format_number(fit.seconds, '.3g')} s")
 
 
-def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
+def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "", *, overwrite: bool = False) -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
         fit: a fit of the Python API, whose method `view` this is.
-        path: the HTML file; "" for a file with the task's name in the current folder.
+        path: the HTML file; "" for a file with the task's name in the current folder, which is replaced.
+        overwrite: whether an existing file at `path` is replaced.
 
     Returns:
         The HTML file.
 
     Raises:
+        FileExistsError: the file at `path` is there already.
         OSError: the file cannot be written.
     """
+    if path:
+        require_new_file(Path(os.fsdecode(path)), overwrite=overwrite)
     title, views = fit.choice.presenter.title, [make_labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
     return write_page(f"metapp: {title}", [FitGroup(fit.name, title, views)], page)

@@ -5,6 +5,7 @@ What pictures show is decided by the application's presenter, how a format lies 
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.run_inputs import task_digest
 from metapp.runs.reporter import format_number, say
 from metapp.storage.checkpoint_files import tensor_digest
+from metapp.storage.files import move_files, name_file_in_errors, partial_path
 from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.image_writers import write_exr, write_png
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME
@@ -98,6 +100,41 @@ def file_to_open(path: Path) -> Path:
     files = [file for file in sorted(path.parent.iterdir()) if file.name.startswith(path.name)]
     candidates = [file for file in files if file.stem == path.name] or files
     return candidates[0] if len(candidates) == 1 else path.parent
+
+
+def export_to_new_files(
+    choice: Choice, task: Task, theta: Params, path: Path, name: str, settings: Settings, *, overwrite: bool
+) -> Path:
+    """Write one fit in another file format, without replacing files unless that is asked for.
+
+    Which files a format writes is known once they are written. So they are written into a folder beside their place,
+    and then moved.
+
+    Args:
+        choice, task, theta, path, name, settings: the arguments of :func:`export_fit`.
+        overwrite: whether existing files are replaced.
+
+    Returns:
+        The file, or the folder of several files.
+
+    Raises:
+        FileExistsError: a file of the export is there already.
+        ValueError: the format cannot hold this fit.
+        OSError: the files cannot be written.
+    """
+    partial = partial_path(path)
+    try:
+        with name_file_in_errors(path):
+            partial.mkdir(parents=True)
+            export_fit(choice, task, theta, partial / path.name, name, settings)
+            written = sorted(partial.iterdir())
+            for source in written:
+                move_files(source, path.with_name(source.name), overwrite=overwrite)
+    except ValueError as error:
+        raise ValueError(str(error).replace(str(partial), str(path.parent))) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return path.with_name(written[0].name) if len(written) == 1 else path.parent
 
 
 def export_fit(choice: Choice, task: Task, theta: Params, path: Path, name: str, settings: Settings) -> None:
