@@ -310,8 +310,8 @@ def _choose_observation(options: FitOptions, sources: Sequence[Source]) -> tuple
     photo, too.
 
     Returns:
-        The observation, "" for objects in memory that have not been read; and the line that gives the reason, "" if
-        there are no sources.
+        The observation, "" for objects in memory that have not been read; and the line that gives the reason, "" unless
+        a source could be fitted by more than is chosen: that fits of photos see a photo surprises nobody.
     """
     observations = options.application.observations
     if not sources:  # what objects in memory hold is known once they are read
@@ -320,9 +320,9 @@ def _choose_observation(options: FitOptions, sources: Sequence[Source]) -> tuple
         next((name for name in observations if source.facts.get(name, True)), observations[-1]) for source in sources
     ]
     chosen = max(most_seen, key=observations.index)
-    reason = f"{most_seen.count(chosen)} of {len(most_seen)} inputs hold a {chosen} alone"
     if {*most_seen} == {chosen}:
-        reason = f"every {_source_noun(options)} {'has one' if chosen == observations[0] else f'is a {chosen} alone'}"
+        return chosen, ""
+    reason = f"{most_seen.count(chosen)} of {len(most_seen)} inputs hold a {chosen} alone"
     return chosen, f"{options.application.name}: fits see: {chosen}, since {reason}"
 
 
