@@ -8,6 +8,8 @@ from metapp.cli.arguments import JsonFlag
 from metapp.cli.command_process import Exit
 from metapp.cli.console import print_json, standard_output
 
+SUBJECT_WIDTH = 11  # characters of the column of subjects
+
 
 def doctor_command(
     json: JsonFlag = False,
@@ -24,17 +26,19 @@ def doctor_command(
         print_json(subjects)
     else:
         for name, report in subjects.items():
-            standard_output().print(f"{name:<11} {_format_report(report)}", soft_wrap=True)
+            for line in _format_report(name, report):
+                standard_output().print(line, soft_wrap=True)
     if subjects[FAILURES_KEY]:
         raise typer.Exit(Exit.FAILED)
 
 
-def _format_report(report: object) -> str:
-    """Return the report on a subject as one line."""
+def _format_report(subject: str, report: object) -> list[str]:
+    """Return the report on a subject as lines, one for each of its items, below each other in columns."""
     if isinstance(report, list):
-        return ", ".join(report) or "nothing"
-    if not isinstance(report, dict):
-        return str(report)
-    has_phrases = any(" " in item for item in report.values())
-    colon, separator = (": ", "; ") if has_phrases else (" ", ", ")
-    return separator.join(f"{key}{colon}{item}" for key, item in report.items())
+        texts = [", ".join(report) or "nothing"]
+    elif isinstance(report, dict):
+        width = max(map(len, report), default=0)
+        texts = [f"{key:<{width}}  {item}" for key, item in report.items()]
+    else:
+        texts = [str(report)]
+    return [f"{'' if number else subject:<{SUBJECT_WIDTH}} {text}" for number, text in enumerate(texts)]

@@ -19,9 +19,15 @@ def test_doctor_lists_what_is_installed(metapp: Callable, cache: Path) -> None:
     assert "general-photo" in document["checkpoints"]["svbrdf_nonstationary pretrained"]
     assert "gauss-newton-photo" in document["checkpoints"]["svbrdf_nonstationary several"]
     assert "brdf full" not in document["checkpoints"]  # of the quick recipe's size, in its folder
-    out = metapp("doctor").out
-    assert out.startswith("versions")
-    assert "; texture full: general, meta-encoder, quickft; " in out
+    lines = metapp("doctor").out.splitlines()
+    assert lines[0].split()[:2] == ["versions", "metapp"]
+    (line,) = [line for line in lines if "texture full" in line]
+    assert line.split("texture full")[1].strip() == "general, meta-encoder, quickft"
+    items = [*document["versions"], *document["data"], *document["checkpoints"], *document["extras"]]
+    for item in items:  # a line each, in columns
+        assert any(line[12:].startswith(f"{item} ") for line in lines), item
+    others = len(document) - 4
+    assert len(lines) == len(items) + others
 
 
 def test_doctor_reports_a_missing_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
