@@ -11,6 +11,7 @@ from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Tasks
 
 torch.manual_seed(0)
+torch.set_num_threads(1)  # as in maml.py
 torch.set_default_dtype(torch.float64)
 rng, STEPS, OUTER_STEPS = torch.default_generator, 5, int(sys.argv[1]) if sys.argv[1:] else 500
 sinusoids = {"amplitude": 0.1 + 4.9 * torch.rand(1100, 1), "phase": torch.pi * torch.rand(1100, 1)}

@@ -70,10 +70,10 @@ def test_maml_by_torch_and_by_metapp_prints_equal_losses(run: Callable[..., str]
     assert learned_after < 0.7 * after
 
 
-def test_maml_by_torch_has_under_thirty_lines_and_hides_nothing_in_imports() -> None:
+def test_maml_by_torch_has_thirty_lines_and_hides_nothing_in_imports() -> None:
     text = (EXAMPLES / "maml.py").read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if line.strip() and not line.strip().startswith("#")]
-    assert len(lines) < 30
+    assert len(lines) <= 30
     assert [line for line in lines if "import" in line] == ["import sys", "import torch"]
 
 
