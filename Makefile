@@ -99,7 +99,7 @@ guiding: setup  ## error over time of guided and regular paths, a table and a fi
 WHOLE ?=
 # RECIPE=full: at the sizes that people use; hours (of pictures of transport 2), of which finished fits are not repeated
 RECIPE ?= quick
-EVALUATE := $(METAPP) evaluate --table $(WHOLE) --recipe $(RECIPE) --out $(RUNS)
+EVALUATE := $(METAPP) evaluate $(WHOLE) --recipe $(RECIPE) --out $(RUNS)
 TABLES := results quickft image ablation storage samples convergence baselines
 
 .PHONY: $(TABLES:%=table-%)

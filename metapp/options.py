@@ -145,9 +145,8 @@ class AppOptions:
     """The options that an application has in addition to the options of all fits.
 
     An application's subclass is a frozen dataclass, each field of which is annotated by an :class:`Option`. The
-    option's
-    panel says what the option influences: INPUT the reading of inputs, FIT the recipe, by :meth:`adapt_recipe`, and
-    OUTPUT the presenter and the files of a fit.
+    option's panel says what the option influences: INPUT the reading of inputs, FIT the recipe, by
+    :meth:`adapt_recipe`, and OUTPUT the presenter and the files of a fit.
     """
 
     def non_default_values(self, *panels: str) -> dict[str, Any]:

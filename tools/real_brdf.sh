@@ -16,5 +16,5 @@ for seed in "$@"; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
   trained=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-quick-seed"$seed" | head -1)
-  "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --table --whole
+  "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --whole
 done

@@ -5,4 +5,4 @@ set -euo pipefail
 metapp=$1 data=$2 runs=$3
 [ -d "$data/illumination" ] || { echo "real: $data/illumination is missing; name it: DATA=..." >&2; exit 1; }
 "$metapp" data laval "$data/illumination" --split test --out "$runs/data/maps" --overwrite
-"$metapp" evaluate illumination --data "$runs/data/maps" --out "$runs" --table --whole
+"$metapp" evaluate illumination --data "$runs/data/maps" --out "$runs" --whole

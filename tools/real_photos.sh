@@ -17,6 +17,6 @@ for seed in "$@"; do
     "$metapp" quickft "${common[@]}" --train --quiet
     "$metapp" meta "${common[@]}" --train --quiet
     trained=$(ls -td "$runs/${pair%:*}"/checkpoints/"${pair#*:}"-*-quick-seed"$seed" | head -1)
-    "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --table --whole
+    "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --whole
   done
 done

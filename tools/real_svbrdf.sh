@@ -10,6 +10,6 @@ done
 "$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips" --overwrite
 "$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps" --overwrite
 for data_set in strips maps; do
-  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$data_set" --out "$runs" --table --whole
+  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$data_set" --out "$runs" --whole
 done
 "$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --out "$runs"

@@ -106,8 +106,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as
         `data_tools.readers.svbrdf_task` makes them: `maps` float16 [10, size, size] and `photo` uint8 [3, size, size].
         Several photos add `others` uint8 [photos - 1, 3, size, size] and `places` [photos, 2, 3], with errors like
-            measured ones
-        (`metapp.apps.svbrdf_nonstationary.places`).
+        measured ones (`metapp.apps.svbrdf_nonstationary.places`).
 
     Raises:
         ValueError: for another split, or a negative count or seed.

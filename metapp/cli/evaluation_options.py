@@ -32,7 +32,7 @@ class EvaluateOptions:
     no_run: Annotated[bool, Option("Run no fits: use existing records only, and say how many are missing.")] = False
     table: Annotated[bool, Option("This option has no effect: tables are always printed.")] = False
     whole: Annotated[
-        bool, Option("Measure Overfit and Finetune on all test tasks, not on three; take both protocols.")
+        bool, Option("Measure Overfit and Finetune on all test tasks, not on a few of them; take both protocols.")
     ] = False
     rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
     observe: Annotated[

@@ -16,6 +16,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from data_tools.synthetic.examples import write_example
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
@@ -108,6 +109,26 @@ def test_a_fit_that_cannot_be_written_leaves_the_others_and_the_report(
     reasons = [failure["reason"] for failure in result.json_document["failures"]]
     assert os.strerror(number) in reasons[0]
     assert ["disk" in reason for reason in reasons[1:]] == [True] * (3 - fitted)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "code"), [(["in"], 0), (["in/broken.csv", "in/good.csv"], 1), (["in/broken.csv"], 1)]
+)
+def test_a_broken_file_is_listed_and_fails_a_run_that_names_it(metapp: Callable, inputs: list[str], code: int) -> None:
+    """What the page on scripts says: the exit code depends on who named the file, the list of failures does not."""
+    (paint,) = write_example("brdf", Path("in"))
+    paint.rename("in/good.csv")
+    Path("in/broken.csv").write_text("theta_i_deg,phi_i_deg\n1,x\n")
+    result = metapp("general", "brdf", *inputs, "--json")
+    assert result.code == code
+    if len(inputs) == 1 and code:
+        assert says(result.error, "broken.csv", "line 2", "'x'")
+        assert not result.out
+        return
+    assert [task["name"] for task in result.json_document["tasks"]] == ["good"]
+    (failure,) = result.json_document["failures"]
+    assert Path(failure["source"]).resolve() == Path("in/broken.csv").resolve()
+    assert says(failure["reason"], "broken.csv", "line 2", "'x'")
 
 
 def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:

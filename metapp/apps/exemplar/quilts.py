@@ -123,8 +123,8 @@ def choose_quilt(
     """Make quilts of an exemplar and return the best.
 
     It looks most like the exemplar, by the relative distance of Gram matrices at half the size, keeps its order,
-    repeats little, and changes across its cuts as the exemplar does. Candidates of all sizes of
-    blocks are of the stretched exemplar first, then of the exemplar as it is, and so on in turns.
+    repeats little, and changes across its cuts as the exemplar does. Candidates of all sizes of blocks are of the
+    stretched exemplar first, then of the exemplar as it is, and so on in turns.
 
     Args:
         exemplar: the picture that quilts are to look like, display values [3, H, W].

@@ -27,7 +27,7 @@ from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 DRAWN_WINDOWS = 3  # windows of the photo that one step compares
-POOLED_WEIGHT = 2.0  # added to the weight of pooled pictures in the outer loss, as they hold the shape of the highlight
+POOLED_WEIGHT = 3.0  # of pooled pictures in the outer loss, 1 in that of fits: they hold the shape of the highlight
 TRUTH_WEIGHT = 3.0  # weight in the outer loss of the difference of the maps' statistics from the true maps'
 # Weights in the outer loss of mean specular and roughness, in logits: of their difference from the true ones, and where
 # these are unknown, of their squared deviation from usual ones
@@ -138,8 +138,8 @@ class SvbrdfStationary(ExemplarApp):
         """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T]."""
         maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
         distances = self.compare_pictures(theta, self.statistics.render_prediction(maps, batch), batch)
-        picture_loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
-        return picture_loss + self.map_loss(maps, batch)
+        distances["pooled"] = POOLED_WEIGHT * distances["pooled"]
+        return torch.stack(list(distances.values())).sum(0) + self.map_loss(maps, batch)
 
     def map_loss(self, maps: Maps, batch: Batch) -> Tensor:
         """Return the difference of maps [T, B, ...] from the statistics of the true ones, [T].

@@ -1,7 +1,7 @@
 """The content of a page for one fit: numbers and pictures, and which of the page's viewers shows them.
 
-An application's view is made by its `page`. This module does not know how a page is written; the
-text at the head of each viewer's script states which arrays, pictures and facts the viewer reads.
+An application's view is made by its `page`. This module does not know how a page is written; the text at the head
+of each viewer's script states which arrays, pictures and facts the viewer reads.
 """
 
 from __future__ import annotations
