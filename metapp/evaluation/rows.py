@@ -115,7 +115,7 @@ def paper_figure(evaluation: EvaluationRun, *keys: str) -> Any:
 
 
 def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
-    """Return the error and the seconds that the paper states for a paradigm, as entries of a row; None for no figure."""
+    """Return the error and the seconds that the paper states for a paradigm, as entries of a row; None for none."""
     return {f"paper_{key}": paper_figure(evaluation, key, evaluation.app.name, name) for key in ("error", "seconds")}
 
 

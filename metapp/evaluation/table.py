@@ -26,7 +26,7 @@ class Column(NamedTuple):
         title: the words above it.
         key: the key of the row's entry that it shows; a dash stands for an entry that is missing or None.
         form: a format of numbers, or "" for words, which are aligned left, or a function from the row to its text.
-        is_optional: whether the column is left out where no row has an entry for it, as columns of the paper's figures.
+        is_optional: whether the column is left out where no row has an entry for it, as those of the paper's figures.
     """
 
     title: str
@@ -48,8 +48,8 @@ class Table(NamedTuple):
     Attributes:
         app_title: the application's title.
         title: what the figures of the table are.
-        columns: the columns from left to right, after the application's, see :func:`filled_columns`; a terminal shows as
-            many as it has room for.
+        columns: the columns from left to right, after the application's, see :func:`filled_columns`; a terminal shows
+            as many as it has room for.
         rows: a row for each method; empty if the application has nothing to show.
         notes: sentences on columns and rows, which tables may share.
         fits: records of fits that a picture shows side by side, by the method's name.
