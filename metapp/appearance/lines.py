@@ -1,15 +1,14 @@
-"""Straight lines in pictures: whether a picture breaks the lines of its exemplar, and whether it shows seams.
+"""Straight lines in pictures: whether a picture breaks the lines of its exemplar.
 
 Joints, cracks, threads and fibres are lines that go on for many texels. A generator that loses them makes edges that
-are as strong, but short. Blocks that do not meet add lines that are longer than any in the exemplar. Both are measured
-on the two pictures alone, which need not have a lattice, unlike in :mod:`metapp.appearance.lattice`.
+are as strong, but short. This is measured on the two pictures alone, which need not have a lattice, unlike in
+:mod:`metapp.appearance.lattice`.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,24 +23,9 @@ QUANTILE_PX = 60_000  # number of px, at least, of which quantiles are taken whe
 # energies, in squared display values, below which lines and edges count as absent
 FAINTEST_LINE_ENERGY = 1e-14
 MIN_EDGE_ENERGY = 1e-9
-# The ratio of long lines, of a picture's to its exemplar's, above which a picture shows seams
-SEAM_STRENGTH_RATIO = 1.5
 
 
-class LineComparison(NamedTuple):
-    """The strengths of a picture's lines relative to its edges, over the same strengths of its exemplar.
-
-    Attributes:
-        fine_ratio: for lines of 1 and 2 px, about 0.94 to 1.05 if lines are intact, less if broken; NaN if not known.
-        long_ratio: for the strongest long lines of 4 px, about 1, above SEAM_STRENGTH_RATIO where seams are seen; NaN
-            if not known.
-    """
-
-    fine_ratio: float
-    long_ratio: float
-
-
-def compare_lines(exemplar: Tensor, picture: Tensor) -> LineComparison:
+def compare_lines(exemplar: Tensor, picture: Tensor) -> float:
     """Compare the straight lines of a picture with the lines of its exemplar, at the same scale.
 
     Args:
@@ -49,17 +33,14 @@ def compare_lines(exemplar: Tensor, picture: Tensor) -> LineComparison:
         picture: display values [C, h, w], of a texture that tiles.
 
     Returns:
-        NaN for both if a picture has a side below SMALLEST_SIDE_PX or the exemplar has no edges.
+        The strength of the picture's lines of 1 and 2 px relative to its edges, over the same strength of the exemplar:
+        about 0.94 to 1.05 if lines are intact, less if they are broken. NaN if a picture has a side below
+        SMALLEST_SIDE_PX or the exemplar has no edges.
     """
     smallest = min(*exemplar.shape[-2:], *picture.shape[-2:])
     if smallest < SMALLEST_SIDE_PX or _edge_energy(_gray(exemplar)) < MIN_EDGE_ENERGY:
-        return LineComparison(math.nan, math.nan)
-    exemplar_strengths, picture_strengths = (_line_strengths(_gray(image)) for image in (exemplar, picture))
-    fine_ratio, long_ratio = (
-        math.exp(strength - exemplar_strength)
-        for strength, exemplar_strength in zip(picture_strengths, exemplar_strengths, strict=True)
-    )
-    return LineComparison(fine_ratio, long_ratio)
+        return math.nan
+    return math.exp(_line_strength(_gray(picture)) - _line_strength(_gray(exemplar)))
 
 
 def _gray(picture: Tensor) -> Tensor:
@@ -72,17 +53,13 @@ def _edge_energy(gray: Tensor) -> float:
     return _quantile(_strongest_response(gray, 2, 1.0), 0.9)
 
 
-def _line_strengths(gray: Tensor) -> tuple[float, float]:
-    """Return the logarithms of the strength of lines of 1 and 2 px, and of the strongest long lines of 4 px."""
+def _line_strength(gray: Tensor) -> float:
+    """Return the logarithm of the strength of lines of 1 and 2 px relative to edges."""
     fine = [
         math.log(max(_quantile(_strongest_response(gray, width, LINE_LENGTH_WIDTHS), 0.95), FAINTEST_LINE_ENERGY))
         for width in (1, 2)
     ]
-    edges = math.log(max(_edge_energy(gray), MIN_EDGE_ENERGY))
-    coarse = math.log(max(_quantile(_strongest_response(gray, 4, 1.0), 0.95), MIN_EDGE_ENERGY))
-    # the fourth moment counts px of much energy even if they are few, as on seams
-    longest = float(_strongest_response(gray, 4, LINE_LENGTH_WIDTHS).double().pow(4).mean().pow(0.25))
-    return sum(fine) / len(fine) - edges, math.log(max(longest, FAINTEST_LINE_ENERGY)) - coarse
+    return sum(fine) / len(fine) - math.log(max(_edge_energy(gray), MIN_EDGE_ENERGY))
 
 
 def _strongest_response(gray: Tensor, width: int, length: float) -> Tensor:

@@ -11,8 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.lines import SEAM_STRENGTH_RATIO, SMALLEST_SIDE_PX, compare_lines
-from metapp.appearance.quilting import quilt
+from metapp.appearance.lines import SMALLEST_SIDE_PX, compare_lines
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 
 SIDE = 256
@@ -118,25 +117,13 @@ def scatter_phases(exemplar: Tensor, rng: Generator) -> Tensor:
     return torch.fft.irfft2(spectrum, s=(SIDE, SIDE)) + mean
 
 
-def shuffle_blocks(exemplar: Tensor, rng: Generator, side: int = 64) -> Tensor:
-    """Return blocks of an exemplar side by side, uncut, each under light of its own."""
-    rows = []
-    for _ in range(SIDE // side):
-        corners = torch.randint(SIDE - side, (SIDE // side, 2), generator=rng).tolist()
-        light = (0.24 * torch.rand(SIDE // side, generator=rng) - 0.12).tolist()
-        blocks = [exemplar[:, y : y + side, x : x + side] + b for (y, x), b in zip(corners, light, strict=True)]
-        rows.append(torch.cat(blocks, 2))
-    return torch.cat(rows, 1)
-
-
 SEEDS = (0, 1, 2)
 LIKE = ("planks", "cells", "knit", "spots")  # whose parts are alike; threads and scratches differ from place to place
 
 
 def is_doubted(exemplar: Tensor, picture: Tensor) -> bool:
-    """Return True if fits would say that a texture breaks lines or shows seams."""
-    lines = compare_lines(exemplar, picture)
-    return lines.fine_ratio < MIN_LINE_STRENGTH or lines.long_ratio > SEAM_STRENGTH_RATIO
+    """Return True if fits would say that a texture breaks lines."""
+    return compare_lines(exemplar, picture) < MIN_LINE_STRENGTH
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -158,9 +145,7 @@ def test_a_texture_that_is_moved_and_repeated_is_intact(name: str, seed: int) ->
 @pytest.mark.parametrize("name", LINES)
 def test_broken_lines_are_detected(name: str, seed: int) -> None:
     exemplar, _ = draw_exemplar(name, seed)
-    assert (
-        compare_lines(exemplar, chop_and_blend(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
-    )
+    assert is_doubted(exemplar, chop_and_blend(exemplar, Generator().manual_seed(seed)))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -168,28 +153,7 @@ def test_broken_lines_are_detected(name: str, seed: int) -> None:
 def test_noise_of_the_same_spectrum_is_detected(name: str, seed: int) -> None:
     """Joints, cracks and scratches become noise, though no wave is stronger or weaker."""
     exemplar, _ = draw_exemplar(name, seed)
-    assert (
-        compare_lines(exemplar, scatter_phases(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
-    )
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", ["planks", "knit", "threads"])
-def test_unmatched_blocks_are_detected(name: str, seed: int) -> None:
-    exemplar, _ = draw_exemplar(name, seed)
-    assert is_doubted(exemplar, shuffle_blocks(exemplar, Generator().manual_seed(seed)))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_seams_of_a_quilt_under_uneven_light_are_detected(seed: int) -> None:
-    exemplar, _ = draw_exemplar("knit", seed)
-    uneven = exemplar + torch.linspace(-0.2, 0.2, SIDE)[:, None]
-    for photo, seams in ((exemplar, False), (uneven, True)):
-        numbers, pixels = np.random.default_rng(seed), photo.movedim(0, -1).numpy()
-        picture = quilt(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
-        assert (
-            compare_lines(photo, torch.from_numpy(picture).movedim(-1, 0)).long_ratio > SEAM_STRENGTH_RATIO
-        ) == seams
+    assert is_doubted(exemplar, scatter_phases(exemplar, Generator().manual_seed(seed)))
 
 
 @pytest.mark.parametrize("change", [chop_and_blend, scatter_phases])
@@ -212,5 +176,5 @@ def test_small_pictures_and_flat_exemplars_get_no_warning() -> None:
     small = other[:, : SMALLEST_SIDE_PX - 1]
     flat = torch.full_like(exemplar, 0.4)
     for pair in ((exemplar, small), (small, exemplar), (flat, exemplar), (flat, flat)):
-        assert all(math.isnan(value) for value in compare_lines(*pair))
-    assert compare_lines(exemplar, flat).fine_ratio < MIN_LINE_STRENGTH
+        assert math.isnan(compare_lines(*pair))
+    assert is_doubted(exemplar, flat)

@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
-from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
 from metapp.apps.exemplar.app import ExemplarApp, move_tiles
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
@@ -116,22 +115,19 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
             assert any(clause.startswith(message) for clause in clauses) or not message
 
 
-def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
+def test_broken_lines_are_doubted_where_no_lattice_is_lost(
     app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Under a flash alone lines that are added say nothing: they are of its highlight."""
     theta = app.init(Generator().manual_seed(0), 3) | app.task_parameters(tasks)
-    found = iter(
-        [LineComparison(0.4, 1.0), LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3), LineComparison(math.nan, math.nan)]
-    )
+    found = iter([0.4, 1.0, math.nan])
     monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(found))
-    broken, seams, unknown = (
+    broken, intact, unknown = (
         [clause for clause in clauses if "relief" not in clause] for clauses in warnings_of(app, theta, tasks)
     )
     assert len(broken) == 1
     assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")
     assert "a photo that shows them more often helps" in broken[0]
-    assert not any("lines" in clause for clause in (*seams, *unknown))
+    assert not any("lines" in clause for clause in (*intact, *unknown))
     assert not any(";" in clause for clause in broken)  # which parts clauses in records
 
 

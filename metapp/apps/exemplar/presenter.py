@@ -107,9 +107,9 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         share = kept_order_share(find_lattice(exemplar), picture)
         if share < MIN_ORDER_SHARE:  # False for NaN: without a lattice nothing is lost
             return [f"keeps {share:.2f} of the photo's regular structure ({_remedy_for('it')})"]
-        lines = compare_lines(exemplar, picture)
-        if lines.fine_ratio < self.min_line_strength:
-            figures = f"{lines.fine_ratio:.2f} as strong, expected {self.min_line_strength:g} or more"
+        strength = compare_lines(exemplar, picture)
+        if strength < self.min_line_strength:
+            figures = f"{strength:.2f} as strong, expected {self.min_line_strength:g} or more"
             remedy = _remedy_for("them")
             return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy})"]
         return []
