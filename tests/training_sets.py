@@ -1,0 +1,139 @@
+"""What cards of checkpoints state of the training tasks that were drawn, and what the sources draw now.
+
+    python -m tests.training_sets        # prints the table of drawn tasks of each card
+
+A card has two tables. Each file has a row: the data that its header names, the first commit that held these weights,
+the command that makes it, and the sets of drawn tasks among its training tasks. Each set has a row: the command that
+draws it, and the mean and the standard deviation of each tensor over its first training tasks. These numbers change
+with any change of the draws, but hardly with the processor, with which a digest of the bytes would change.
+
+A command that ends in "at commit 0123abcd" is of sources that draw other tasks today: such files cannot be made again.
+"""
+
+import itertools
+import json
+import re
+import shlex
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from safetensors import safe_open
+
+ROOT = Path(__file__).parent.parent
+FOLDERS = [ROOT / "metapp/checkpoints", ROOT / "metapp/extensions"]
+FILE_COLUMNS = ["file", "data", "first commit", "made by", "drawn tasks"]
+SET_COLUMNS = ["drawn tasks", "command", "tensor: mean, standard deviation over the first tasks"]
+FIRST_TASKS = (
+    3  # tasks that are drawn of a set without families, of BRDFs and of large pictures, which take seconds each
+)
+NO_SET = "none"  # the entry of a file that no drawn task trained
+OMITTED = ("scene",)  # tensors that hold text
+
+
+class FileRow(NamedTuple):
+    """What a card states of a file; `sets` are the names of its sets of drawn tasks."""
+
+    file: str
+    data: str
+    commit: str
+    command: str
+    sets: list[str]
+
+
+class SetRow(NamedTuple):
+    """What a card states of a set of drawn tasks."""
+
+    name: str
+    command: str
+    summary: str
+
+
+def read_table(text: str, columns: list[str]) -> list[list[str]]:
+    """Return the cells of all rows of the tables of a page that have these columns, without code marks."""
+    rows, is_inside = [], False
+    for line in text.splitlines():
+        cells = (
+            [cell.strip().strip("`") for cell in line.strip().strip("|").split(" | ")] if line.startswith("|") else []
+        )
+        if cells == columns:
+            is_inside = True
+        elif is_inside and cells and not cells[0].startswith("---"):
+            rows.append(cells)
+        elif not cells:
+            is_inside = False
+    return rows
+
+
+def is_drawn_today(command: str) -> bool:
+    """Tell whether the command of a set draws the stated tasks by the sources of today."""
+    return " at commit " not in command
+
+
+def cards() -> list[Path]:
+    """Return the pages that state how checkpoints were made."""
+    return sorted(path for folder in FOLDERS for path in folder.rglob("README.md") if "checkpoints" in path.parts)
+
+
+def file_rows(card: Path) -> list[FileRow]:
+    """Return the rows of a card's files."""
+    return [
+        FileRow(*cells[:4], re.findall(r"[^,\s`]+", cells[4])) for cells in read_table(card.read_text(), FILE_COLUMNS)
+    ]
+
+
+def set_rows(card: Path) -> list[SetRow]:
+    """Return the rows of a card's sets."""
+    return [SetRow(*cells) for cells in read_table(card.read_text(), SET_COLUMNS)]
+
+
+def stated_data(checkpoint: Path) -> str:
+    """Return what the header of a checkpoint calls the data that it was trained on."""
+    with safe_open(checkpoint, "pt") as file:
+        header = file.metadata()
+    return str((json.loads(header["metapp"]) if "metapp" in header else header).get("data"))
+
+
+def summarise_draws(command: str) -> str:
+    """Draw the first training tasks of a set, one of each family or FIRST_TASKS, and summarise their tensors.
+
+    Args:
+        command: such as `metapp data synth texture --size 512 --count 48`.
+
+    Returns:
+        Such as "image: 125.1, 32.73"; several tensors are separated by semicolons.
+    """
+    words = shlex.split(command.removeprefix("metapp data synth "))
+    app, options, words = words[0], {}, words[1:]
+    while words:
+        name = words.pop(0).removeprefix("--")
+        options[name] = int(words.pop(0)) if words and not words[0].startswith("--") else True
+    options.pop("count", None)  # a larger set begins with the smaller one
+    source = import_module(f"data_tools.synthetic.{app}")
+    task_count = (
+        FIRST_TASKS if {"size", "rows"} & options.keys() else len(getattr(source, "FAMILIES", ())) or FIRST_TASKS
+    )
+    tasks = source.synthetic_tasks("train", task_count, options.pop("seed", 0), **options)
+    sums: dict[str, list[tuple[float, float]]] = {}
+    for task in itertools.islice(tasks, task_count):
+        for name, tensor in task.data.items():
+            values = tensor.double()
+            sums.setdefault(name, []).append((float(values.mean()), float(values.std(correction=0))))
+    means = {name: [sum(column) / len(column) for column in zip(*values, strict=True)] for name, values in sums.items()}
+    return "; ".join(
+        f"{name}: {mean:.5g}, {deviation:.5g}" for name, (mean, deviation) in means.items() if name not in OMITTED
+    )
+
+
+def read_summary(summary: str) -> dict[str, list[float]]:
+    """Return the numbers of a summary by the names of tensors."""
+    pairs = (part.split(":") for part in summary.split(";"))
+    return {name.strip(): [float(number) for number in numbers.split(",")] for name, numbers in pairs}
+
+
+if __name__ == "__main__":
+    for page in cards():
+        print(page.relative_to(ROOT))
+        for row in set_rows(page):
+            summary = summarise_draws(row.command) if is_drawn_today(row.command) else row.summary
+            print(f"| {row.name} | `{row.command}` | {summary} |")
