@@ -29,7 +29,9 @@ def inputs(networks: Path, metapp: Callable) -> None:
         shutil.copytree(networks / "m1", place)
     np.save("bad/b3.npy", np.full(3, np.nan, np.float32))
     Path("folder").mkdir()
-    for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b""}.items():
+    for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b"",
+                          "klems.xml": b"<?xml version='1.0'?><!-- <a> --><WindowElement><b/></WindowElement>",
+                          "rows.json": b'[{"theta_i": 3, "red": 1}]'}.items():  # fmt: skip
         Path(name).write_bytes(content)
     write_noise_photo(Path("a.png"))
     Path("broken.safetensors").write_bytes(b"broken")
@@ -110,6 +112,8 @@ FOREIGN_FILES = """
 overfit brdf text.binary                  | text.binary ; 14 bytes ; 34,992,012 ; MERL
 overfit brdf photo.png                    | photo.png ; brdf ; MERL ; NBRDF ; svbrdf_stationary, texture
 overfit brdf folder                       | folder ; brdf ; MERL ; NBRDF
+overfit brdf klems.xml                    | klems.xml ; XML ; <WindowElement> ; goniometer .csv ; transport reads Mitsuba
+overfit brdf rows.json                    | rows.json ; JSON ; theta_i, red ; goniometer .csv ; transport reads Mitsuba
 overfit brdf --data train                 | train ; 0 test tasks
 general brdf --train --train-steps 3 --data test | brdf ; 0 tasks
 general brdf m1 --checkpoint broken.safetensors  | broken.safetensors ; --train

@@ -19,7 +19,7 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.refusals import check_files_of_user
+from metapp.runs.inputs.refusals import check_files_of_user, describe_document
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import cached_lookup
@@ -173,15 +173,20 @@ def _input_refusal(application: Application, path: Path, expected: str) -> str:
     """
     if line := _first_placeholder_line(path):
         return line
-    other_apps = sorted(
-        other.name
-        for other in registry().applications.values()
-        if any(form.load().recognises(path) for form in other.input_formats.values())
-    )
+    readers_elsewhere = [
+        (other.name, form.inputs)
+        for other in sorted(registry().applications.values(), key=lambda other: other.name)
+        for form in other.input_formats.values()
+        if form.load().recognises(path)
+    ]
+    document = describe_document(path)
+    found = f"{document}, not an input" if document else "not an input"
     hint = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
-    if other_apps:
-        hint = f"; it is one of {', '.join(other_apps)}"
-    return f"{path}: not an input of {application.name}, expected {expected}{hint}."
+    if document and readers_elsewhere:  # suffixes of documents do not tell what is in them
+        hint = f"; of such files {', '.join(f'{name} reads {inputs}' for name, inputs in readers_elsewhere)}"
+    elif readers_elsewhere:
+        hint = f"; it is one of {', '.join(dict.fromkeys(name for name, _ in readers_elsewhere))}"
+    return f"{path}: {found} of {application.name}, expected {expected}{hint}."
 
 
 def _first_placeholder_line(path: Path) -> str:

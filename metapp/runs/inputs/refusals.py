@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 from metapp.registry import registry
+from metapp.storage.files import printable_name, read_bytes
 from metapp.storage.folders import MANIFEST, FolderKind, path_kind, read_json
 
+DESCRIBED_SUFFIXES = (".xml", ".json")
+MAX_DESCRIBED_BYTES = 1 << 20  # of a document, up to which it is read to name its parts
 COMMANDS_OF_FITS = ("view", "export", "compare")  # commands that take a fit or a run, as far as they are there
 
 
@@ -28,6 +33,27 @@ def path_refusal(path: Path, kind: FolderKind, expected: str) -> str:
     else:
         remedy = "give the photos or files themselves"
     return f"{path}: {kind.value}, expected {expected}; {remedy}."
+
+
+def describe_document(path: Path) -> str:
+    """Return what an XML or JSON document is, by its root element or its keys; "" for any other path."""
+    suffix = path.suffix.lower()
+    if suffix not in DESCRIBED_SUFFIXES or not path.is_file():
+        return ""
+    text = read_bytes(path).decode(errors="replace") if path.stat().st_size <= MAX_DESCRIBED_BYTES else ""
+    if suffix == ".xml":
+        root = re.search(r"<([A-Za-z_][\w:.-]*)", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
+        return f"an XML document of <{printable_name(root[1])[:40]}>" if root else "an XML document"
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return "a JSON document"
+    if isinstance(content, list) and content:
+        kind, content = "a JSON list", content[0]
+    else:
+        kind = "a JSON document"
+    keys = [printable_name(key)[:20] for key in content][:6] if isinstance(content, dict) else []
+    return f"{kind} of {', '.join(keys)}" if keys else kind
 
 
 def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -> None:
