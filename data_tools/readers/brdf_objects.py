@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, task_of_pairs
+from data_tools.readers.measured_pairs import MeasuredPairs, find_bad_reflectance, task_of_pairs
 from data_tools.readers.numbers import doubles_of, unit_vectors, vectors_of
 from data_tools.readers.reciprocity import require_reciprocity
 from metapp.appearance.geometry import rusinkiewicz_to_directions
@@ -50,13 +50,13 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
             )
         wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLE_ARRAY_NAMES[:2], strict=True))
         values = vectors_of(name, source[2], SAMPLE_ARRAY_NAMES[2])
-        if not ((values >= 0) & (values <= MAX_REFLECTANCE_PER_SR)).all():
-            found = "reflectance that is negative, huge or not finite"
-            raise ValueError(f"{name}: {found}, expected 0 to {MAX_REFLECTANCE_PER_SR:g} /sr; leave such samples out.")
+        if bad_value := find_bad_reflectance(name, values.numpy()):
+            row, column, expected = bad_value
+            raise ValueError(f"{name}: reflectance {float(values[row, column]):.6g} in row {row}, expected {expected}.")
         if not len(wi) == len(wo) == len(values):
             found = f"{len(wi)} rows of wi, {len(wo)} of wo, {len(values)} of reflectance"
             raise ValueError(f"{name}: {found}, expected equally many; give one of each for a sample.")
-        pairs = MeasuredPairs(wi, wo, values).above(name)
+        pairs = MeasuredPairs(wi, wo, values.clamp_min(0)).above(name)
         require_reciprocity(name, pairs)
         return task_of_pairs(name, pairs)
     if type(source).__module__.partition(".")[0] == "mitsuba":

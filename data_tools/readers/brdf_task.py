@@ -111,10 +111,30 @@ def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) 
 
 
 def angle_tensors(angles: Tensor) -> dict[str, Tensor]:
-    """Return the tensors by which tasks hold angles [N, 3 or 4]: `angles` [N, 3] and, of four angles, `phi_h` [N]."""
+    """Return the tensors by which tasks hold angles, in single precision.
+
+    Args:
+        angles: angles in rad, [N, 3 or 4].
+
+    Returns:
+        `angles` [N, 3] and, of four angles, `phi_h` [N].
+    """
+    # Single precision rounds azimuths just below 2 pi up to a number above it; half its last digit there is 2.4e-7.
+    angles = wrap_azimuths(angles, 1e-6).float()
     if angles.shape[-1] == 3:
         return {"angles": angles}
     return {"angles": angles[:, :3].contiguous(), "phi_h": angles[:, 3].contiguous()}
+
+
+def wrap_azimuths(angles: Tensor, step_rad: float) -> Tensor:
+    """Set azimuths that are within half a step of a full circle to 0, so that rounding does not lead beyond it.
+
+    Args:
+        angles: theta_h, theta_d, phi_d and perhaps phi_h in rad, [N, 3 or 4].
+        step_rad: the step to which angles will be rounded.
+    """
+    thetas, azimuths = angles[:, :2], angles[:, 2:]
+    return torch.cat([thetas, torch.where(azimuths > math.tau - step_rad / 2, 0.0, azimuths)], 1)
 
 
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:

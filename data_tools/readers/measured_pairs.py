@@ -12,16 +12,19 @@ import warnings
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.numbers import Doubles
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 
 MIN_PAIRS = 4  # least number of samples of a task, after repeated measurements were averaged
 MAX_PAIRS_ALL_SEEN = 1000  # largest number of samples of which none is held out: fits see all, and errors use all
 MAX_REFLECTANCE_PER_SR = 1e9  # a BRDF's largest value; larger ones are a mistake
+MAX_NOISE_SHARE = 0.25  # of the largest value; values no further below 0 than this are noise
 MAX_THETA_RAD = math.radians(89.999)  # angle from the normal; measurements closer to the surface are left out
 MAX_REPEAT_DEVIATION = 0.2  # of repeated measurements over their mean, above which a line says so
 # The test whether reflectance depends on phi_h, the azimuth of the half vector
@@ -31,6 +34,8 @@ MAX_DISTANCES = 1 << 24  # number of distances, at most, that are in memory whil
 MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # share of the squared differences of neighbours that phi_h must explain
 MIN_AZIMUTH_TEST_PAIRS = 64  # number of measurements below which a material counts as isotropic without a test
 MIN_HALF_THETA_RAD = math.radians(3)  # angle from the normal below which a half vector has no meaningful azimuth
+
+_ANGLE_STEP_RAD = 1e-5  # angles that are equal after rounding to it are one sample's
 
 
 class MeasuredPairs(NamedTuple):
@@ -75,6 +80,37 @@ class MeasuredPairs(NamedTuple):
         return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
 
 
+def find_bad_reflectance(subject: str | Path, values: Doubles) -> tuple[int, int, str] | None:
+    """Find the first measured value that is no reflectance, and warn of noise below 0.
+
+    Values below 0 are noise, such as remains after a dark reading was subtracted, if they are small beside the largest
+    one. Negative whole numbers are not: -1 and -999 stand for values that were not measured.
+
+    Args:
+        subject: the file or name that the warning names.
+        values: measured values in 1/sr, [N, C].
+
+    Returns:
+        The row and the column of the value, and what was expected and what to do; None if all values are good or noise.
+    """
+    is_reflectance = (values >= 0) & (values <= MAX_REFLECTANCE_PER_SR)
+    largest = float(values[is_reflectance].max(initial=0.0))
+    is_noise = (values < 0) & (values >= -MAX_NOISE_SHARE * largest) & (values != np.round(values))
+    is_bad = ~(is_reflectance | is_noise)
+    if is_bad.any():
+        row, column = np.argwhere(is_bad)[0]
+        expected = f"0 to {MAX_REFLECTANCE_PER_SR:g} in 1/sr"
+        if np.isnan(values[row, column]):
+            return row, column, f"{expected}; fill in what a plan asks for, and leave out rows that were not measured"
+        if values[row, column] < 0:
+            expected += f", or noise down to {-MAX_NOISE_SHARE * largest:.2g}, a quarter of the largest value"
+        return row, column, f"{expected}; leave out rows that were not measured"
+    if count := int(is_noise.sum()):
+        found = f"{count:,} of {values.size:,} values below 0, down to {values.min():.3g} /sr"
+        warnings.warn(f"{subject}: {found}, expected 0 or more; taken for noise and set to 0", stacklevel=2)
+    return None
+
+
 def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
     """Make a BRDF task of measurements, all of which must lie above the surface.
 
@@ -109,12 +145,12 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
     if len(order) <= MAX_PAIRS_ALL_SEEN:
         order = order.repeat(2)
-    samples = brdf_task.angle_tensors(angles[order].float())
+    samples = brdf_task.angle_tensors(angles[order])
     return Task(name, {**samples, "reflectance": reflectance[order].float()})
 
 
 def merge_repeats(pairs: MeasuredPairs) -> tuple[Tensor, Tensor]:
-    """Average measurements of equal angles, to 1e-5 rad, into one sample.
+    """Average measurements of equal angles, to _ANGLE_STEP_RAD, into one sample.
 
     Otherwise a fit could see a sample that is held out. :func:`depends_on_azimuth` decides whether phi_h counts, by the
     averages, since repeats are no evidence.
@@ -122,7 +158,7 @@ def merge_repeats(pairs: MeasuredPairs) -> tuple[Tensor, Tensor]:
     Returns:
         Angles in rad, [M, 4] of an anisotropic material, else [M, 3] without phi_h; and reflectance in 1/sr, [M, 3].
     """
-    angles = directions_to_four_angles(pairs.wi, pairs.wo)
+    angles = brdf_task.wrap_azimuths(directions_to_four_angles(pairs.wi, pairs.wo), _ANGLE_STEP_RAD)
     if not len(angles):
         return angles[:, :3], pairs.reflectance
     samples = _average_duplicates(angles, pairs.reflectance)
@@ -134,7 +170,7 @@ def deviation_of_repeats(pairs: MeasuredPairs) -> float:
 
     Measurements count as repeated if all four angles are equal; 0 without any.
     """
-    angles = directions_to_four_angles(pairs.wi, pairs.wo)
+    angles = brdf_task.wrap_azimuths(directions_to_four_angles(pairs.wi, pairs.wo), _ANGLE_STEP_RAD)
     if not len(angles):
         return 0.0
     grey = pairs.reflectance.mean(1, keepdim=True)
@@ -184,7 +220,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
 
 
 def _average_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
-    """Average the measurements whose angles are equal after they are rounded to 1e-5 rad.
+    """Average the measurements whose angles are equal after they are rounded to _ANGLE_STEP_RAD.
 
     Args:
         angles: angles in rad, [N, 3 or 4].
@@ -194,7 +230,7 @@ def _average_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Te
         M <= N angles, [M, 3 or 4], each the mean of the angles that were equal, and their mean reflectance, [M, 3]. The
         order is by the first angle, then by the next ones.
     """
-    rounded_angles = (angles * 1e5).round().long()
+    rounded_angles = (angles / _ANGLE_STEP_RAD).round().long()
     rounded_angles -= rounded_angles.amin(0)
     # Each row of angles becomes one integer, its key, which sorts like the row: ten times as fast as `torch.unique` of
     # rows. After each column the keys are replaced by their ranks, so that they stay small.
