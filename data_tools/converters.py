@@ -71,12 +71,14 @@ class GonioConverter(Converter):
 
     A file has a line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light),
     theta_o_deg, phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as
-    wavelengths (400nm, 410nm, ...). In place of these four angles may stand theta_i, theta_o and phi, the azimuth
-    between both, or half and difference angles, theta_h, theta_d, phi_d and perhaps phi_h. Semicolons, tabs, quotes,
-    decimal commas, a row of units and UTF-16, as spreadsheets write, are read as well. A negative theta means the
-    opposite side, phi + 180 degrees. Lines that begin with # are comments. The measurements themselves become the
-    samples, in random order. A bad file that you name ends the conversion, and nothing is written; one found in a
-    folder is skipped with a warning.
+    wavelengths (400nm, 410nm, ...). A theta is from the normal, and a negative one means the opposite side, phi + 180
+    degrees; elevation_i and elevation_o are from the surface. In place of phi_o may stand phi, from the light, or
+    phi_mirror, from the mirror direction; phi_i may then be left out. Or a file has half and difference angles,
+    theta_h, theta_d, phi_d and perhaps phi_h. Other words for them are read, too: zenith, azimuth, altitude, el; in,
+    incident, light, out, view, detector. Semicolons, tabs, quotes, decimal commas, a row of units and UTF-16, as
+    spreadsheets write, are read as well. Values a little below 0 are noise and become 0. Lines that begin with # are
+    comments. The measurements themselves become the samples, in random order. A bad file that you name ends the
+    conversion, and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
       metapp data gonio paint.csv --out measured

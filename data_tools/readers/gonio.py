@@ -2,13 +2,12 @@
 
 A file holds a line of column names, perhaps one of units, then numbers; lines that begin with # are comments.
 `theta_i, phi_i` is the light, `theta_o, phi_o` the detector, with the unit behind, `theta_i_deg` or `theta_i_rad`, or
-below; thetas are from the normal, negative ones at phi + 180 degrees. In place of these a file may hold `theta_i,
-theta_o, phi`, the azimuth between both, or half and difference angles, `theta_h, theta_d, phi_d`, and perhaps `phi_h`;
-see `gonio_angles`. The BRDF in 1/sr is `r, g, b`, linear RGB, or
-columns of wavelengths, `400nm, 410nm, ...`, which become linear RGB of the material in D65. Columns may be in any
-order; unknown ones are ignored. Text is UTF-8 or UTF-16; cells are separated by commas, semicolons, tabs or bars, as
-Excel's line `sep=;` or the column names tell; cells may be in quotes, and decimal commas are read beside another
-separator or in quotes.
+below; thetas are from the normal, negative ones at phi + 180 degrees. A file may hold other angles in place of these,
+such as elevations or the azimuth between both directions, see `gonio_angles`; `angle_conventions` doubts angles that
+are not what their columns say. The BRDF in 1/sr is `r, g, b`, linear RGB, or columns of wavelengths, `400nm, 410nm,
+...`, which become linear RGB of the material in D65. Columns may be in any order; unknown ones are ignored. Text is
+UTF-8 or UTF-16; cells are separated by commas, semicolons, tabs or bars, as Excel's line `sep=;` or the column names
+tell; cells may be in quotes, and decimal commas are read beside another separator or in quotes.
 """
 
 from __future__ import annotations
@@ -29,10 +28,11 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.gonio_angles import ANGLE_COLUMNS, name_angle, read_directions
+from data_tools.readers.angle_conventions import warn_of_angles
+from data_tools.readers.gonio_angles import ANGLE_COLUMNS, AngleTable, SphericalAngles, name_angle, read_directions
 from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, merge_repeats, task_of_pairs
+from data_tools.readers.measured_pairs import MeasuredPairs, find_bad_reflectance, merge_repeats, task_of_pairs
 from data_tools.readers.numbers import Doubles
 from data_tools.readers.reciprocity import require_reciprocity
 from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
@@ -45,7 +45,6 @@ RGB_COLUMNS = ("r", "g", "b")
 VISIBLE_RANGE_NM = (420.0, 680.0)  # spectra must cover it
 MAX_KEPT_TABLE_BYTES = 1 << 26
 MAX_TABLE_BYTES = 1 << 28  # of a file
-MAX_NOISE_PER_SR = 1e-3  # values no further below 0 than this are noise
 
 _MAX_LINE_CHARACTERS = 1 << 20  # of a line
 _SEPARATORS = ",;\t|"
@@ -100,25 +99,21 @@ def read_pairs(path: Path) -> MeasuredPairs:
         ValueError: the file is no such table: missing columns, rows that are no numbers, negative or huge values,
             angles beyond their range.
     """
-    columns, lines = _read_columns(path)
-    light, detector = read_directions(path, columns, lines)
-    names, matrix = _find_colours(path, list(columns))
-    values = np.stack([columns[name] for name in names], 1)
-    is_bad = ~((values >= -MAX_NOISE_PER_SR) & (values <= MAX_REFLECTANCE_PER_SR))
-    if is_bad.any():
-        row, column = np.argwhere(is_bad)[0]
-        raise ValueError(
-            f"{path}: line {lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
-            f"{MAX_REFLECTANCE_PER_SR:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not "
-            "measured."
-        )
-    if count := int((values < 0).sum()):
-        found = f"{count:,} of {values.size:,} values below 0, down to {values.min():.3g} /sr"
-        warnings.warn(f"{path}: {found}, expected 0 or more; taken for noise and set to 0", stacklevel=2)
+    table = _read_columns(path)
+    angles = read_directions(path, table)
+    names, matrix = _find_colours(path, list(table.columns))
+    values = np.stack([table.columns[name] for name in names], 1)
+    if bad_value := find_bad_reflectance(path, values):
+        row, column, expected = bad_value
+        subject = f"{path}: line {table.lines[row]}: {table.titles[names[column]]}"
+        raise ValueError(f"{subject} {values[row, column]:.6g}, expected {expected}.")
     if not values.any():
         warnings.warn(f"{path}: reflectance 0 everywhere, expected some light reflected; is it damaged?", stacklevel=2)
-    pairs = MeasuredPairs(light, detector, torch.from_numpy(values @ matrix).clamp_min(0)).above(path)
-    require_reciprocity(path, pairs)
+    reflectance = torch.from_numpy(values @ matrix).clamp_min(0)
+    light, detector = angles.directions() if isinstance(angles, SphericalAngles) else angles
+    pairs = MeasuredPairs(light, detector, reflectance).above(path)
+    if not (isinstance(angles, SphericalAngles) and warn_of_angles(path, angles, reflectance)):
+        require_reciprocity(path, pairs)  # by wrong angles a BRDF can look as if it held a cosine
     return pairs
 
 
@@ -148,11 +143,8 @@ def _format_degrees(*vectors: Tensor) -> Iterator[str]:
         yield from (f"{math.degrees(angle):.2f}" for angle in (math.atan2(math.hypot(x, y), z), math.atan2(y, x)))
 
 
-def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
-    """Read the columns of a file.
-
-    Returns:
-        Columns [N] by name, and the line number of each row; comments are left out.
+def _read_columns(path: Path) -> AngleTable:
+    """Read the columns of a file, without its comments.
 
     Raises:
         ValueError: the file is too large, is not text, or holds no table of numbers.
@@ -174,13 +166,13 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
     if not rows:
         raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers; add them.")
     separator = separator_line[1] if separator_line else max(_SEPARATORS, key=rows[0][1].count)
-    names = _split_cells(rows.pop(0)[1].lower(), separator)
+    titles = _split_cells(rows.pop(0)[1], separator)
     cells_below = _split_cells(rows[0][1].lower(), separator) if rows else []
     units = [cell.strip("[]() ") for cell in cells_below] if not any(map(_is_number, cells_below)) else []
     rows = rows[1:] if units else rows
     names = [
         _name_column(*name_and_unit)
-        for name_and_unit in itertools.zip_longest(names, units[: len(names)], fillvalue="")
+        for name_and_unit in itertools.zip_longest(titles, units[: len(titles)], fillvalue="")
     ]
     if len(set(names)) < len(names):
         repeated_name = next(name for name in names if names.count(name) > 1)
@@ -199,7 +191,8 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
             _parse_cells(path, line_number, _split_cells(line, separator), len(names)) for line_number, line in rows
         ]
         numbers = np.array(cells, np.float64).reshape(-1, len(names))
-    return dict(zip(names, numbers.T, strict=True)), [line_number for line_number, _ in rows]
+    columns = dict(zip(names, numbers.T, strict=True))
+    return AngleTable(columns, dict(zip(names, titles, strict=True)), [line_number for line_number, _ in rows])
 
 
 def _read_lines(path: Path, text: io.TextIOWrapper) -> Iterator[tuple[int, str]]:
@@ -229,8 +222,8 @@ def _split_cells(line: str, separator: str) -> list[str]:
 def _name_column(name: str, unit: str) -> str:
     """Return a column's name with its unit behind; in the file, the unit stands in brackets or in the line below."""
     name, _, bracketed = name.replace("(", "[").partition("[")
-    ending = _UNIT_ENDINGS.get(bracketed.strip("]) ") or unit, "")
-    name = (angle := name_angle(name.strip())) or name.strip()
+    ending = _UNIT_ENDINGS.get(bracketed.lower().strip("]) ") or unit, "")
+    name = (angle := name_angle(name.strip())) or name.strip().lower()
     return name if name.endswith(ending) or not (angle or ending == "nm") else f"{name}{ending}"
 
 

@@ -11,7 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import gonio, measured_pairs
+from data_tools.readers import brdf_task, gonio, measured_pairs
+from data_tools.readers.brdf_objects import task_of_object
 from data_tools.readers.measured_pairs import MeasuredPairs
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.colorimetry import import_colour_science, spectrum_to_rgb_matrix
@@ -133,6 +134,41 @@ def test_noise_below_zero_is_cut_with_one_warning(tmp_path: Path) -> None:
         gonio.read_task(file, source.content)
     assert source.content.reflectance[1].tolist() == [0.1, 0, 0.3]
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize("deviation", [4e-3, 0.02])
+def test_noise_of_a_dark_reading_is_cut(tmp_path: Path, angles: Tensor, deviation: float) -> None:
+    """Whatever its size, as long as it is small beside the largest value; the sample becomes an input of fits."""
+    rng = torch.Generator().manual_seed(0)
+    values = material(angles) - material(angles).min()
+    values = values + deviation * torch.randn(values.shape, generator=rng, dtype=torch.float64)
+    pairs = MeasuredPairs(*rusinkiewicz_to_directions(angles), values)
+    gonio.write_pairs(tmp_path / "a.csv", pairs.wi[:0], pairs.wo[:0], pairs)
+    count = f"{int((values < 0).sum()):,} of {values.numel():,} values below 0"
+    for read in (
+        lambda: gonio.read_task(tmp_path / "a.csv"),
+        lambda: task_of_object(tuple(pairs), "paint"),
+    ):
+        with pytest.warns(UserWarning, match=count):
+            assert read().data["reflectance"].min() == 0
+
+
+@pytest.mark.parametrize(("mark", "facts"), [("-1", "-1"), ("-999", "-999"), ("-5.5", "noise down to")])
+def test_marks_of_missing_values_are_no_noise(tmp_path: Path, mark: str, facts: str) -> None:
+    rows = [ROW, ROW.replace("0.2", "20").replace("30,180", "35,180"), ROW.replace("0.2", mark)]
+    (tmp_path / "a.csv").write_text("\n".join([HEAD, *rows]))
+    with pytest.raises(ValueError, match=rf"line 4: g {mark}, .*leave out rows that were not measured") as caught:
+        gonio.read_pairs(tmp_path / "a.csv")
+    assert facts in str(caught.value)
+
+
+def test_azimuths_beside_a_full_circle_are_those_at_0() -> None:
+    """Measured at 0 and at 2 pi less a rounding error, it is one sample; single precision does not leave the circle."""
+    angles = torch.tensor([[0.3, 0.4, 0.0, 0.0], [0.3, 0.4, math.tau - 1e-9, math.tau - 1e-9]], dtype=torch.float64)
+    pairs = MeasuredPairs(*rusinkiewicz_to_directions(angles), torch.ones(2, 3, dtype=torch.float64))
+    assert len(measured_pairs.merge_repeats(pairs)[0]) == 1
+    tensors = brdf_task.angle_tensors(angles)
+    assert all(float(values.double().max()) < math.tau for values in tensors.values())
 
 
 def test_a_table_is_parsed_once(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
