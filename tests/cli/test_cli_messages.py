@@ -112,8 +112,8 @@ FOREIGN_FILES = """
 overfit brdf text.binary                  | text.binary ; 14 bytes ; 34,992,012 ; MERL
 overfit brdf photo.png                    | photo.png ; brdf ; MERL ; NBRDF ; svbrdf_stationary, texture
 overfit brdf folder                       | folder ; brdf ; MERL ; NBRDF
-overfit brdf klems.xml                    | klems.xml ; XML ; <WindowElement> ; goniometer .csv ; transport reads Mitsuba
-overfit brdf rows.json                    | rows.json ; JSON ; theta_i, red ; goniometer .csv ; transport reads Mitsuba
+overfit brdf klems.xml                    | klems.xml ; XML ; <WindowElement> ; goniometer .csv ; transport reads
+overfit brdf rows.json                    | rows.json ; JSON ; theta_i, red ; goniometer .csv ; transport reads
 overfit brdf --data train                 | train ; 0 test tasks
 general brdf --train --train-steps 3 --data test | brdf ; 0 tasks
 general brdf m1 --checkpoint broken.safetensors  | broken.safetensors ; --train
