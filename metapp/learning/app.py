@@ -220,8 +220,13 @@ class App(ABC):
         """Return an application whose fits load what fits of this one load, maybe in less time: to be thrown away."""
         return self
 
-    def postprocess(self, theta: Params) -> Params:
-        """Change fits [T, ...] after their last step, before they are evaluated and stored."""
+    def postprocess(self, theta: Params, tasks: Tasks | None = None) -> Params:
+        """Change fits [T, ...] after their last step, before they are evaluated and stored.
+
+        Args:
+            theta: the fits.
+            tasks: the fitted tasks; None for parameters that were not fitted, of which only names and shapes count.
+        """
         return theta
 
     @abstractmethod

@@ -373,7 +373,7 @@ class ComposedApp(App):
         return self.encoder(encoder, encoder_input, self.decoder)
 
     @override
-    def postprocess(self, theta: Params) -> Params:
+    def postprocess(self, theta: Params, tasks: Tasks | None = None) -> Params:
         return self.decoder.postprocess(theta)
 
     def prediction(self, theta: Params, seen: Any) -> Any:

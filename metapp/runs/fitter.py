@@ -166,7 +166,7 @@ class Fitter:
         descent = paradigm.descend(self.checkpoint.phi, stacked, rng)
         first = next(descent)
         last = final_item(chain([first], descent))
-        theta = app.postprocess(last.theta)
+        theta = app.postprocess(last.theta, stacked)
         seconds = (_clock_seconds(choice.device) - begin_seconds) / len(tasks)
         cpu_seconds = (time.process_time() - begin_cpu_seconds) / len(tasks)
         measures, warnings = app.errors(theta, stacked), _warnings_or_fault(choice, stacked, first, last)

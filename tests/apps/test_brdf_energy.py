@@ -13,8 +13,8 @@ from metapp.appearance.geometry import angle_cosines, quasirandom_angles, rusink
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import albedo, conserve_energy, quadrature
+from metapp.apps.brdf.highlight import MIRROR_DEGREES
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
-from metapp.apps.brdf.presenter import MIRROR_DEGREES
 from metapp.learning.task import Task
 from tests.recipe_apps import presenter_of
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
@@ -73,8 +74,10 @@ class Brdf(ComposedApp):
         return tasks.make_variants(self.network.augment(mix_brdfs(tasks, rng), rng))
 
     @override
-    def postprocess(self, theta: Params) -> Params:
-        """Limit fits to reflecting no more light than they receive, if `conserve` asks for it."""
+    @torch.no_grad()
+    def postprocess(self, theta: Params, tasks: Tasks | None = None) -> Params:
+        """Hold highlights by samples, and limit fits to the light that they receive, if `conserve` asks for it."""
+        theta = theta if tasks is None else self.network.hold_highlight(theta, self.sight.gather(tasks))
         return self.network.conserve_energy(theta) if self.conserve else theta
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:

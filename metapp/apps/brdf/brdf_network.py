@@ -163,6 +163,15 @@ class BrdfNetwork(Decoder[Reflectance, Any]):
         """
         raise NotImplementedError
 
+    def hold_highlight(self, theta: Params, seen: Any) -> Params:
+        """Keep fits [T, ...] from rising, towards mirror directions, above what samples carry. The default keeps fits.
+
+        Args:
+            theta: the fits.
+            seen: the samples that the fits saw, a :class:`ReflectanceSamples`.
+        """
+        return theta
+
     @abstractmethod
     def fold(self, theta: Params) -> PlainLayers:
         """Return one material as plain layers.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -19,6 +20,7 @@ from metapp.appearance.geometry import rotate_about_normal
 from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.brdf_network import BrdfNetwork, PlainLayers
 from metapp.apps.brdf.energy import conserve_energy, quadrature_places
+from metapp.apps.brdf.highlight import MANY_SAMPLES, hold_last_layer
 from metapp.apps.brdf.nbrdf_network import init_set_encoder, read_set
 from metapp.apps.brdf.sample_augmentation import draw_measurements
 from metapp.learning.random_tensors import draw_normal, draw_uniform
@@ -131,6 +133,21 @@ class Featured(BrdfNetwork):
         features = self.linear_features(theta, quadrature_places(theta["last"]))
         last = [conserve_energy(*material) for material in zip(features, theta["last"], strict=True)]
         return theta | {"last": torch.stack(last)}
+
+    @override
+    def hold_highlight(self, theta: Params, seen: Any) -> Params:
+        """Hold isotropic fits of no more than MANY_SAMPLES; see :func:`hold_last_layer`."""
+        if self.anisotropic or seen.where.shape[-1] > MANY_SAMPLES:
+            return theta
+        layers = []
+        for i, last in enumerate(theta["last"]):
+            material = {key: value[i : i + 1] for key, value in theta.items()}
+
+            def find_features(where: Tensor, material: Params = material) -> Tensor:
+                return self.linear_features(material, where.to(material["last"]))[0]
+
+            layers.append(hold_last_layer(find_features, last, seen.where[i], seen.target[i]))
+        return theta | {"last": torch.stack(layers)}
 
     @override
     def augment(self, data: Params, rng: Generator) -> Params:

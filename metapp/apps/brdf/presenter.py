@@ -22,6 +22,7 @@ from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_rema
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
+from metapp.apps.brdf.highlight import MANY_SAMPLES, describe_guessed_highlight, describe_unseen_highlight
 from metapp.apps.brdf.sample_augmentation import AUGMENTED_SAMPLES
 from metapp.learning.task import Params, Task, Tasks
 
@@ -29,7 +30,6 @@ DRAWN_SAMPLES = 1024  # samples in a picture, at most
 SAMPLES_SIDE_PX, DOT_PX = 96, 3  # sides of a picture of samples, and of the square that shows a sample
 EXCESSIVE_REFLECTANCE = 2.0  # 1/sr of half of the samples: six times what a white matte surface reflects
 EXCESSIVE_ALBEDO = 1.01  # the share of reflected light above which a note says so
-MIRROR_DEGREES = 5  # degrees between half vector and normal, up to which a sample shows the highlight
 SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
@@ -73,15 +73,15 @@ class BrdfPresenter(Presenter[Brdf]):
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State what a reader of the error must know of the fit, as notes, and how much light it reflects.
 
-        Notes say that no sample is held out, that none shows the highlight, that phi_h is left out, that reflectance is
-        the same everywhere, and that more light is reflected than received. `albedo`, of isotropic fits, is the share
-        of light that is reflected, the greatest of the channels', from each of the angles
+        Notes say that no sample is held out, that samples do not determine the highlight, that phi_h is left out, that
+        reflectance is the same everywhere, and that more light is reflected than received. `albedo`, of isotropic fits,
+        is the share of light that is reflected, the greatest of the channels', from each of the angles
         `metapp.apps.brdf.energy.INCIDENT_RAD`.
         """
         notes, seen_count = [], len(task.data["angles"]) // 2
         if torch.equal(task.data["angles"][:seen_count], task.data["angles"][seen_count:]):
             notes.append(f"all {seen_count} samples are fitted, none is held out: the error is of these")
-        if highlight_note := describe_unseen_highlight(task.data["angles"][:seen_count]):
+        if highlight_note := describe_highlight(theta, task):
             notes.append(highlight_note)
         if "phi_h" in task.data and not self.app.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
@@ -130,26 +130,18 @@ class BrdfPresenter(Presenter[Brdf]):
         return task._replace(data=task.data | {"angles": angles, "reflectance": self.app.reflectance(theta, angles)})
 
 
-def describe_unseen_highlight(angles: Tensor) -> str:
-    """Return a note that no sample lies near a mirror direction; "" if one does.
+def describe_highlight(theta: Params, task: Task) -> str:
+    """Return a clause of a note, that samples do not determine the highlight; "" if they do.
 
-    Without such a sample the height of the highlight is a guess, which the error on other samples does not show.
-
-    Args:
-        angles: theta_h first, [N, 3 or 4] in rad, of the samples that a fit sees.
-
-    >>> describe_unseen_highlight(torch.tensor([[0.3, 0.1, 0.0]])).partition("; ")[0]
-    'highlight: no sample within 5 degrees of mirror directions, the nearest at 17'
-    >>> describe_unseen_highlight(torch.tensor([[0.01, 0.1, 0.0]]))
-    ''
+    More than MANY_SAMPLES, and those of anisotropic materials, are only asked whether any of them shows it.
     """
-    nearest = math.degrees(float(angles[:, 0].amin()))
-    if nearest <= MIRROR_DEGREES:
-        return ""
-    return (
-        f"highlight: no sample within {MIRROR_DEGREES} degrees of mirror directions, the nearest at {nearest:.0f}; its "
-        "height is a guess from training materials"
-    )
+    seen_count = len(task.data["angles"]) // 2
+    angles, reflectance = task.data["angles"][:seen_count], task.data["reflectance"][:seen_count]
+    if seen_count > MANY_SAMPLES or "phi_h" in task.data:
+        return describe_unseen_highlight(angles)
+    theta = {key: value.cpu() for key, value in theta.items()}
+    evaluate = functools.partial(find_network(theta).evaluate, theta)
+    return describe_guessed_highlight(angles.cpu(), reflectance.cpu(), evaluate)
 
 
 def plot_samples(angles: Tensor, reflectance: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ from metapp.apps.brdf.brdf_network import (
     opponent_axes,
     put_distinct_first,
 )
+from metapp.apps.brdf.highlight import MANY_SAMPLES
 from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS, sample_weights
 from metapp.learning.composed import Sight
 from metapp.learning.random_tensors import draw_uniform
@@ -31,7 +32,6 @@ from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import LeastSquares, Params, Task, Tasks
 
 INITIAL_SMOOTHING = 0.05  # of |d| in losses, before a rule has learned it
-MANY_SAMPLES = 4096  # different samples, above which further ones count no more against penalties
 
 
 @dataclass(frozen=True)

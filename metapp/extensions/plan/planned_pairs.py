@@ -14,7 +14,7 @@ from data_tools.readers.gonio import read_pairs, write_pairs
 from data_tools.readers.measured_pairs import MIN_PAIRS, MeasuredPairs
 from metapp.appearance.geometry import directions_to_rusinkiewicz
 from metapp.apps.brdf.few.design import InstrumentLimits
-from metapp.apps.brdf.presenter import describe_unseen_highlight
+from metapp.apps.brdf.highlight import describe_unseen_highlight
 from metapp.cli.console import print_json
 from metapp.evaluation.style import save_figure
 from metapp.extensions.plan.planning import draw_directions, plan_brdf
