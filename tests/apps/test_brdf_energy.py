@@ -143,6 +143,6 @@ def test_unmeasured_highlights_are_reported(seed: int) -> None:
         return str(presenter.remarks(theta, task).get("note", ""))
 
     assert "highlight: no sample within 5 degrees of mirror directions" in note(far)
-    assert "highlight" not in note(near)
+    assert "highlight: no sample" not in note(near)
     unseen = torch.cat([far[:count], near[:count]])  # held-out samples teach a fit nothing
     assert "highlight: no sample" in note(unseen)

@@ -35,7 +35,7 @@ PLACES, CROWDING_POWER = (
     1024,
     3,
 )  # pairs of directions where fits are held, and the power that crowds them at highlights
-LEAST_COSINE = 0.1  # of light and viewer where fits are held
+LEAST_COSINE = 0.02  # of light and viewer where fits are held
 MIRROR_RAD = torch.arange(0, 76, 5).deg2rad()  # angles of the light whose mirror directions are compared
 # chosen on drawn Ward, Phong, Beckmann and mixed lobes and on fits of measured materials, 300 to 4,000 scattered pairs
 MAX_HELD_EXCESS = 5.0  # fit over lobes, above which it may be a peak that no sample shows
@@ -56,7 +56,12 @@ def held_places() -> Tensor:
     angles = quasirandom_angles(PLACES)
     angles[:, 0] = (angles[:, 0] / (math.pi / 2)) ** CROWDING_POWER * math.pi / 2
     where = half_difference_and_cosine(angles[is_above_horizon(angles)]).T[None]
-    return where[:, :, torch.minimum(where[0, 6], outgoing_cosine(where)[0]) > LEAST_COSINE]
+    return where[:, :, least_cosine(where[0]) > LEAST_COSINE]
+
+
+def least_cosine(where: Tensor) -> Tensor:
+    """Return the lesser of cos theta_i and cos theta_o, [N], at `where` [7, N]."""
+    return torch.minimum(where[6], outgoing_cosine(where[None])[0])
 
 
 def half_angles(where: Tensor) -> Tensor:
@@ -146,6 +151,8 @@ def hold_last_layer(features: Callable[[Tensor], Tensor], last: Tensor, where: T
     nearest = theta_h.argsort()[:NEAREST_SAMPLES]
     shortfall = excess(reflectance[:, nearest].mean(0), evaluate_lobes(lobes, where[:, nearest]).mean(0))
     limit = torch.log1p(evaluate_lobes(lobes, places[0]) * max(1.0, shortfall))
+    # beyond the angles that samples reach, lobes know no more than the fit
+    limit[:, least_cosine(places[0]) < least_cosine(where).amin()] = math.inf
     sample_features, place_features = (features(each).double().cpu() for each in (where[None], places))
     logs, slope = reflectance.log1p(), derivative_in_log(reflectance.log1p(), cosine)
     for _ in range(HELD_SOLVES):
@@ -212,16 +219,17 @@ def describe_guessed_highlight(angles: Tensor, reflectance: Tensor, evaluate: Ca
     where, theta_h = half_difference_and_cosine(angles).T, angles[:, 0].sort().values
     grey, mirror = reflectance.mean(1)[None], mirror_places()[0]
     widths = 0.5 * float(theta_h[0]), 1.4 * float(theta_h[:3][-1])
-    heights = [evaluate_lobes(fit_lobes(where, grey, width), mirror)[0] for width in widths]
+    allowed = torch.stack([evaluate_lobes(fit_lobes(where, grey, width), mirror)[0] for width in widths])
     zeros = torch.zeros_like(MIRROR_RAD)
-    heights.append(evaluate(torch.stack([zeros, MIRROR_RAD, zeros], 1)).double().mean(1))
-    least, greatest = torch.stack(heights).amin(0), torch.stack(heights).amax(0)
-    ratios = (greatest + MATTE_REFLECTANCE) / (least + MATTE_REFLECTANCE)
+    fitted = evaluate(torch.stack([zeros, MIRROR_RAD, zeros], 1)).double().mean(1)
+    heights = torch.cat([allowed, fitted[None]]) + MATTE_REFLECTANCE
+    ratios = heights.amax(0) / heights.amin(0)
     if not (guessed := ratios > MAX_SILENT_RATIO).any():
         return ""
     guessed_degrees, worst = MIRROR_RAD[guessed].rad2deg(), int(ratios.argmax())
+    least, greatest = allowed[:, worst].sort().values.tolist()
     return (
         f"highlight: its height is a guess for light from {guessed_degrees[0]:.0f} to {guessed_degrees[-1]:.0f} "
-        f"degrees, {float(heights[-1][worst]):.3g} /sr at {MIRROR_RAD[worst].rad2deg():.0f}: samples allow "
-        f"{float(least[worst]):.3g} to {float(greatest[worst]):.3g}; measure more near mirror directions"
+        f"degrees, {float(fitted[worst]):.3g} /sr at {MIRROR_RAD[worst].rad2deg():.0f}, where samples allow "
+        f"{least:.3g} to {greatest:.3g}; measure more near mirror directions"
     )
