@@ -153,7 +153,7 @@ def hold_last_layer(features: Callable[[Tensor], Tensor], last: Tensor, where: T
     limit = torch.log1p(evaluate_lobes(lobes, places[0]) * max(1.0, shortfall))
     # beyond the angles that samples reach, lobes know no more than the fit
     limit[:, least_cosine(places[0]) < least_cosine(where).amin()] = math.inf
-    sample_features, place_features = (features(each).double().cpu() for each in (where[None], places))
+    sample_features, place_features = (features(pairs).double().cpu() for pairs in (where[None], places))
     logs, slope = reflectance.log1p(), derivative_in_log(reflectance.log1p(), cosine)
     for _ in range(HELD_SOLVES):
         fitted = layer @ place_features
