@@ -4,7 +4,8 @@
 paper's in `nbrdf_network`, and one of learned features in `feature_network`, which reads anisotropic materials by
 `anisotropic`. `sample_sight` has the samples that fits see, `held_out_judge` those that they are judged by.
 `sample_augmentation` varies training materials, `energy` limits the light that fits reflect, and `highlight` the height
-of their highlights; `recipes`, `options` and `presenter` are as in every application. `few` has fits of 4 to 200 samples.
+of their highlights; `recipes`, `options` and `presenter` are as in every application. `few` has fits of 4 to 200
+samples.
 """
 
 from __future__ import annotations
