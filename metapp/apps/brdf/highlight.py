@@ -31,10 +31,8 @@ LOBE_WIDTHS_RAD = np.geomspace(0.03, 0.9, 9)  # about the angle at which a lobe 
 RELATIVE_RIDGE = 1e-3  # the penalty of lobes, over the deviation of their values
 MATTE_REFLECTANCE = 0.01  # 1/sr that is added to reflectance before ratios are formed: black matter has no highlight
 NEAREST_SAMPLES = 8  # samples nearest to mirror directions, which lobes that are too low there are scaled by
-PLACES, CROWDING_POWER = (
-    1024,
-    3,
-)  # pairs of directions where fits are held, and the power that crowds them at highlights
+HELD_PLACES = 1024  # pairs of directions where fits are held
+CROWDING_POWER = 3  # by which these crowd around highlights
 LEAST_COSINE = 0.02  # of light and viewer where fits are held
 MIRROR_RAD = torch.arange(0, 76, 5).deg2rad()  # angles of the light whose mirror directions are compared
 # chosen on drawn Ward, Phong, Beckmann and mixed lobes and on fits of measured materials, 300 to 4,000 scattered pairs
@@ -53,7 +51,7 @@ def mirror_places() -> Tensor:
 @functools.cache
 def held_places() -> Tensor:
     """Return pairs of directions that crowd around highlights, [1, 7, N], as networks read them."""
-    angles = quasirandom_angles(PLACES)
+    angles = quasirandom_angles(HELD_PLACES)
     angles[:, 0] = (angles[:, 0] / (math.pi / 2)) ** CROWDING_POWER * math.pi / 2
     where = half_difference_and_cosine(angles[is_above_horizon(angles)]).T[None]
     return where[:, :, least_cosine(where[0]) > LEAST_COSINE]

@@ -89,7 +89,7 @@ def _volume_bytes(path: Path) -> int:
         header = file.read(_VOLUME_HEADER.size).ljust(_VOLUME_HEADER.size, b"\0")
         size = file.seek(0, 2)
     _, _, *grid, channels = _VOLUME_HEADER.unpack(header)
-    grid_bytes = _FLOAT_BYTES * math.prod(grid) * channels
+    grid_bytes = int(_FLOAT_BYTES * math.prod(grid) * channels)
     needed_bytes = _VOLUME_HEADER.size + _BOUNDING_BOX_BYTES + grid_bytes
     if min(*grid, channels) < 1 or size < needed_bytes:
         shape = " x ".join(map(str, grid))
