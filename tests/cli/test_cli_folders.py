@@ -60,7 +60,7 @@ def folders(tmp_path: Path) -> Path:
         write_data_set(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
     mark_folder(tmp_path / "set/found", FolderKind.RESULTS)
     write_noise_photo(tmp_path / "set/found/0060.png")
-    settings = Settings(app="texture", paradigm="meta", rule="basis", recipe="quick", data="files")
+    settings = Settings(app="texture", paradigm="meta", rule="meta-basis", recipe="quick", data="files")
     record = FitRecord(name="bark", error=1.0, seconds=1.0, settings=settings)
     kept = write_fit(tmp_path / "runs/texture/meta", record, {"w": torch.zeros(2)})
     for place in (Path(kept.folder) / "texture.png", tmp_path / "runs/texture/meta/pictures.png"):

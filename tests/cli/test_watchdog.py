@@ -13,7 +13,8 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 ROOT = Path(__file__).parents[2]
 LINES = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # commands in the background of a shell begin without it
 from metapp.cli.command_process import run_command
 from metapp.cli.watchdog import start_watchdog
 def command():
@@ -44,6 +45,7 @@ def start(body: str) -> subprocess.Popen[str]:
 @pytest.mark.parametrize("whole_group", [False, True])
 def test_a_signal_ends_a_command(number: signal.Signals, body: str, code: int, whole_group: bool) -> None:
     process = start(body)
+    time.sleep(0.5)  # the line before it is printed already: native code has begun by now
     (os.killpg if whole_group else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=10)  # ends when the watchdog has ended, too
     assert process.returncode == code

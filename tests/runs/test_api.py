@@ -77,14 +77,14 @@ def test_a_saved_fit_is_loaded_again(network: Path, tmp_path: Path, general: api
     """
     in_memory = fit_by_general("brdf", lambertian)
     for fit, keys in ((general, general.task.data.keys()), (in_memory, set())):
-        again = api.load(fit.save(tmp_path / "a.safetensors"))
+        again = api.load(fit.save(tmp_path / "a.safetensors", overwrite=True))
         assert (again.name, again.errors, again.seconds, again.settings) == (
             *(fit.name, fit.errors, fit.seconds),
             to_json_value(fit.settings),
         )
         assert all(torch.equal(again.parameters[key], value) for key, value in fit.parameters.items())
         assert again.task.data.keys() == keys
-        assert api.load(again.save(tmp_path / "b.safetensors")).errors == fit.errors
+        assert api.load(again.save(tmp_path / "b.safetensors", overwrite=True)).errors == fit.errors
     for name, content in (("tensors", {"w1": torch.zeros(2)}), ("empty", {})):
         save_file(content, tmp_path / name)
     (tmp_path / "text").write_text("a text")

@@ -242,17 +242,13 @@ def export_fits(
     (app_name,) = app_names
     check_export(form, application_named(app_name))
     fit_options(app_name, **options)
-    files, exported, faults = [], list[str](), list[str]()
+    files = []
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record.settings, record.name
             choice = choose_as_recorded(settings, options)
-            try:
-                theta = read_checked_params(record, choose_as_recorded(settings).app if options else choice.app)
-            except ValueError as error:  # the other fits of the run are sound
-                faults.append(str(error))
-                continue
+            theta = read_checked_params(record, choose_as_recorded(settings).app if options else choice.app)
             if options:
                 settings = replace(settings, options=settings.options | options)
             write = functools.partial(export_fit, choice, theta=theta, path=export_path(record, form, out), name=form)
@@ -269,11 +265,6 @@ def export_fits(
                     ) from None
                 write(task=tasks[name], settings=settings)
             files.append(file_to_open(export_path(record, form, out)))
-            exported.append(name)
             bar.advance(name)
-    if not files:
-        raise ValueError(faults[0])
-    for line in faults:
-        say(f"warning: left out: {line}")
     target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return target, exported, files
+    return target, [record.name for record in records], files

@@ -136,7 +136,7 @@ def test_fewer_than_two_are_refused(metapp: Callable, photo_folder: Path) -> Non
         ([Path("none.jpg")], "none.jpg: no such file"),
     ):
         FAILED.unlink(missing_ok=True)
-        refusal = metapp("data", "rectify", *inputs, "--out", LEAF).refusal
+        refusal = metapp("data", "rectify", *inputs, "--out", LEAF).error
         assert line in refusal
         assert FAILED.exists() == refusal.endswith("; see leaf.failed.png.") == (inputs != [Path("none.jpg")])
     assert not LEAF.exists()

@@ -54,6 +54,7 @@ def printed(app: App, sources: list[Task]) -> tuple[set[str], str]:
         choices={},
         fitters={},
         is_of_subset=lambda name: False,
+        has_paper_figures=True,
     )
     table = make_image_table(subject, records)
     others = PARADIGMS.keys() - {"meta"}
