@@ -26,7 +26,7 @@ from data_tools.readers.gonio_angles import (
     RELATIVE_COLUMN,
     SphericalAngles,
     absolute_azimuth,
-    unit_vectors,
+    spherical_to_directions,
 )
 from data_tools.readers.numbers import Doubles
 from metapp.appearance.geometry import directions_to_four_angles
@@ -183,7 +183,7 @@ def _unexplained_share(angles: Doubles, logs: Tensor, is_anisotropic: bool) -> f
         logs: log reflectance [N].
         is_anisotropic: whether functions of theta_h times the second harmonic of phi_h are terms, too.
     """
-    wi, wo = (torch.from_numpy(unit_vectors(angles[:, i], angles[:, i + 1])) for i in (0, 2))
+    wi, wo = (torch.from_numpy(spherical_to_directions(angles[:, i], angles[:, i + 1])) for i in (0, 2))
     theta_h, theta_d, _, phi_h = directions_to_four_angles(wi, wo).unbind(1)
     lobe = _hat_functions((theta_h * (2 / math.pi)).sqrt(), 0.0, 1.0, 9)
     cosines = _hat_functions((wi[:, 2] * wo[:, 2]).clamp_min(0.01).log(), math.log(0.01), 0.0, 5)

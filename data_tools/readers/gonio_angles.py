@@ -86,7 +86,8 @@ class SphericalAngles(NamedTuple):
     def directions(self) -> tuple[Tensor, Tensor]:
         """Return unit vectors to light and detector, [N, 3] each."""
         theta_i, phi_i, theta_o, phi_o = self.angles.T
-        return torch.from_numpy(unit_vectors(theta_i, phi_i)), torch.from_numpy(unit_vectors(theta_o, phi_o))
+        light, detector = spherical_to_directions(theta_i, phi_i), spherical_to_directions(theta_o, phi_o)
+        return torch.from_numpy(light), torch.from_numpy(detector)
 
 
 def name_angle(name: str) -> str:
@@ -255,6 +256,6 @@ def _read_angle(path: Path, table: AngleTable, name: str) -> Doubles:
     return result
 
 
-def unit_vectors(theta: Doubles, phi: Doubles) -> Doubles:
+def spherical_to_directions(theta: Doubles, phi: Doubles) -> Doubles:
     """Return unit vectors [N, 3] of spherical angles [N] in rad; a negative theta points to phi + pi."""
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)

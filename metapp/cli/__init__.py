@@ -2,10 +2,10 @@
 
 Read in this order: `command_tree` (the commands and their order), `console` (output), `progress` with `live_bar`
 (messages and progress), `command_process` (errors, signals and exit codes) with `watchdog` (signals that Python cannot
-see), `arguments` (dataclasses of options become
-options of commands), `help` with `help_page` (what --help prints). Then read the commands: `fit_commands` with
-`fit_output` (fits), `evaluate` with `evaluation_options` and `evaluation_output` (tables), `export`, `data` (conversion
-of files), and `synth` with `synthesis_options` and `synthesis` (synthetic data). torch, Mitsuba and colour-science are
+see), `arguments` (dataclasses of options become options of commands), `help` with `help_page` (what --help prints).
+Then read the commands: `fit_commands` with `fit_output` (fits), `evaluate` with `evaluation_options` and
+`evaluation_output` (tables), `export`, `data` (conversion of files), and `synth` with `synthesis_options` and
+`synthesis` (synthetic data). torch, Mitsuba and colour-science are
 imported inside commands, so that --help answers at once.
 """
 

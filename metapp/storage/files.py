@@ -279,18 +279,18 @@ def require_new_file(path: Path, *, overwrite: bool) -> None:
 
 
 def move_files(source: Path, target: Path, *, overwrite: bool) -> None:
-    """Move a file, or all files of a folder, to another place on the same disk; other files that are there stay.
+    """Move all files of a folder into another folder on the same disk; other files that are there stay.
 
     Args:
-        source: the file or the folder.
-        target: the path that it gets; missing folders are made.
+        source: the folder that holds the files, at any depth.
+        target: the folder that they get into; it and folders in it are made where they are missing.
         overwrite: whether existing files are replaced.
 
     Raises:
         FileExistsError: a file is there already; nothing was moved.
         OSError: a file cannot be moved.
     """
-    files = [file for file in (source, *source.rglob("*")) if file.is_file()]
+    files = [file for file in source.rglob("*") if file.is_file()]
     places = [target / file.relative_to(source) for file in files]
     for place in places:
         require_new_file(place, overwrite=overwrite)

@@ -112,8 +112,7 @@ def conserve_energy(features: Tensor, last: Tensor) -> Tensor:
             break
         excess = torch.where(shares > 1, shares / TARGET_ALBEDO, 1.0)
         limited_reflectance = limited_reflectance / torch.as_tensor(np.interp(polar_rad, INCIDENT_RAD, excess)).amax(0)
-        # derivative of log(1 + f cos theta_i), which fits are judged by, in log(1 + f), which the layer yields
-        slope = incident_cosine * (1 + limited_reflectance) / (1 + limited_reflectance * incident_cosine)
+        slope = judged_slope(limited_reflectance, incident_cosine)
         weighted_features = features * slope.square()[:, None]
         gram = weighted_features @ features.T
         penalty = (
@@ -124,6 +123,19 @@ def conserve_energy(features: Tensor, last: Tensor) -> Tensor:
     while compute_shares().amax() > 1:
         layer = DIMMING_FACTOR * layer
     return layer.to(last)
+
+
+def judged_slope(reflectance: Tensor, incident_cosine: Tensor) -> Tensor:
+    """Return the derivative of log(1 + f cos theta_i), by which fits are judged, in log(1 + f), which layers yield.
+
+    Args:
+        reflectance: f in 1/sr, [3, N].
+        incident_cosine: cos theta_i, [N].
+
+    Returns:
+        The derivative, [3, N].
+    """
+    return incident_cosine * (1 + reflectance) / (1 + reflectance * incident_cosine)
 
 
 def set_conservation(recipe: Recipe, value: object) -> Recipe:

@@ -24,15 +24,15 @@ from metapp.appearance.geometry import (
     outgoing_cosine,
     quasirandom_angles,
 )
+from metapp.apps.brdf.energy import CROWDING_POWER, RELATIVE_RIDGE, judged_slope
 
 MIRROR_DEGREES = 5  # degrees between half vector and normal, up to which a sample shows the highlight
 MANY_SAMPLES = 4096  # different samples, from which on they show a highlight everywhere, and penalties count no less
 LOBE_WIDTHS_RAD = np.geomspace(0.03, 0.9, 9)  # about the angle at which a lobe has fallen to a third of its peak
-RELATIVE_RIDGE = 1e-3  # the penalty of lobes, over the deviation of their values
+LOBE_RIDGE = 1e-3  # the penalty of lobes, over the deviation of their values
 MATTE_REFLECTANCE = 0.01  # 1/sr that is added to reflectance before ratios are formed: black matter has no highlight
 NEAREST_SAMPLES = 8  # samples nearest to mirror directions, which lobes that are too low there are scaled by
 HELD_PLACES = 1024  # pairs of directions where fits are held
-CROWDING_POWER = 3  # by which these crowd around highlights
 LEAST_COSINE = 0.02  # of light and viewer where fits are held
 MIRROR_RAD = torch.arange(0, 76, 5).deg2rad()  # angles of the light whose mirror directions are compared
 # chosen on drawn Ward, Phong, Beckmann and mixed lobes and on fits of measured materials, 300 to 4,000 scattered pairs
@@ -108,7 +108,7 @@ def fit_lobes(where: Tensor, reflectance: Tensor, least_width_rad: float) -> NDA
         # the derivative of log(1 + f cos theta_i) in f
         slope = cosine / (1 + values * cosine) / math.sqrt(len(values))
         matrix = columns * slope[:, None]
-        ridge = RELATIVE_RIDGE * matrix.std() * np.eye(matrix.shape[1])
+        ridge = LOBE_RIDGE * matrix.std() * np.eye(matrix.shape[1])
         target = np.concatenate([values * slope, np.zeros(len(ridge))])
         weights[channel, used] = nnls(np.concatenate([matrix, ridge]), target, maxiter=3000)[0]
     return weights
@@ -152,30 +152,20 @@ def hold_last_layer(features: Callable[[Tensor], Tensor], last: Tensor, where: T
     # beyond the angles that samples reach, lobes know no more than the fit
     limit[:, least_cosine(places[0]) < least_cosine(where).amin()] = math.inf
     sample_features, place_features = (features(pairs).double().cpu() for pairs in (where[None], places))
-    logs, slope = reflectance.log1p(), derivative_in_log(reflectance.log1p(), cosine)
+    logs, slope = reflectance.log1p(), judged_slope(reflectance, cosine)
     for _ in range(HELD_SOLVES):
         fitted = layer @ place_features
         if (fitted <= limit + HELD_TOLERANCE).all():
             break
         held, residual = torch.minimum(fitted, limit), logs - layer @ sample_features
-        held_slope = derivative_in_log(held.clamp_min(0), places[0, 6].double())
+        held_slope = judged_slope(held.clamp_min(0).expm1(), places[0, 6].double())
         weights = slope.square().mean(0) / ((slope * residual).square().mean(0) + SMOOTHING**2).sqrt() / len(cosine)
         held_weights = held_slope.square().mean(0) / held.shape[1]
         gram = sample_features * weights @ sample_features.T + place_features * held_weights @ place_features.T
         moment = residual * weights @ sample_features.T + (held - fitted) * held_weights @ place_features.T
-        gram = gram + 1e-9 * gram.diagonal().mean() * torch.eye(len(gram)).to(gram)
+        gram = gram + RELATIVE_RIDGE * gram.diagonal().mean() * torch.eye(len(gram)).to(gram)
         layer = layer + torch.linalg.solve(gram, moment.T).T
     return layer.to(last)
-
-
-def derivative_in_log(logs: Tensor, cosine: Tensor) -> Tensor:
-    """Return the derivative of log(1 + f cos theta_i) in log(1 + f), [3, N].
-
-    Args:
-        logs: log(1 + f), [3, N].
-        cosine: cos theta_i, [N].
-    """
-    return cosine / (cosine + (1 - cosine) * torch.exp(-logs))
 
 
 def describe_unseen_highlight(angles: Tensor) -> str:

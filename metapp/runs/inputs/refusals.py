@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -40,14 +39,12 @@ def describe_document(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in DESCRIBED_SUFFIXES or not path.is_file():
         return ""
-    text = read_bytes(path).decode(errors="replace") if path.stat().st_size <= MAX_DESCRIBED_BYTES else ""
+    is_read = path.stat().st_size <= MAX_DESCRIBED_BYTES
     if suffix == ".xml":
+        text = read_bytes(path).decode(errors="replace") if is_read else ""
         root = re.search(r"<([A-Za-z_][\w:.-]*)", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
         return f"an XML document of <{printable_name(root[1])[:40]}>" if root else "an XML document"
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        return "a JSON document"
+    content = read_json(str(path)) if is_read else None
     if isinstance(content, list) and content:
         kind, content = "a JSON list", content[0]
     else:

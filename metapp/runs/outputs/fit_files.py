@@ -128,8 +128,7 @@ def export_to_new_files(
             partial.mkdir(parents=True)
             export_fit(choice, task, theta, partial / path.name, name, settings)
             written = sorted(partial.iterdir())
-            for source in written:
-                move_files(source, path.with_name(source.name), overwrite=overwrite)
+            move_files(partial, path.parent, overwrite=overwrite)
     except ValueError as error:
         raise ValueError(str(error).replace(str(partial), str(path.parent))) from None
     finally:
