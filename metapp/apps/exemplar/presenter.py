@@ -106,11 +106,11 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         """
         share = kept_order_share(find_lattice(exemplar), picture)
         if share < MIN_ORDER_SHARE:  # False for NaN: without a lattice nothing is lost
-            return [f"keeps {share:.2f} of the photo's regular structure ({_remedy_for('it')})"]
+            return [f"keeps {share:.2f} of the photo's regular structure ({remedy_for('it')})"]
         strength = compare_lines(exemplar, picture)
         if strength < self.min_line_strength:
             figures = f"{strength:.2f} as strong, expected {self.min_line_strength:g} or more"
-            remedy = _remedy_for("them")
+            remedy = remedy_for("them")
             return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy})"]
         return []
 
@@ -125,7 +125,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         even, cells = remove_quadratic_trend(exemplar), self.app.octaves.octave_size()
         if (strength := seam_strength(even, quilt, places, cells)) > MAX_SEAM_STRENGTH:
             figure = f"changes across them are {strength:.1f} times as strong as the photo's"
-            return [f"shows the cuts between pieces of the photo ({figure}, {_remedy_for('its structure')})"]
+            return [f"shows the cuts between pieces of the photo ({figure}, {remedy_for('its structure')})"]
         share = repeated_share(places, cells)
         if share > MAX_REPEATED_SHARE and not find_lattice(even).repeats:
             return [f"repeats {share:.0%} of itself (a photo of more of the material helps)"]
@@ -146,7 +146,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         return {**super().remarks(theta, task), **figures}
 
 
-def _remedy_for(lost: str) -> str:
+def remedy_for(lost: str) -> str:
     """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence.
 
     Another photograph is advised, since fits copy pieces of the one that they see.

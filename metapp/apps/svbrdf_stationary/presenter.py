@@ -1,7 +1,7 @@
 """The presenter of stationary svBRDFs: maps that tile, photographs of them, and warnings.
 
 Warnings about lost structure come from :mod:`metapp.apps.exemplar.presenter`; here are pictures of maps, and warnings
-about highlights that clip in the photo.
+about highlights that clip in the photo, and about relief.
 """
 
 from __future__ import annotations
@@ -17,16 +17,22 @@ from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
 from metapp.appearance.flash import relighting_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
+from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
-from metapp.apps.exemplar.presenter import ExemplarPresenter
+from metapp.apps.exemplar.breaks import break_strength
+from metapp.apps.exemplar.presenter import ExemplarPresenter, remedy_for
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
 # Strength of a picture's lines over the photo's, below which lines are broken
 MIN_LINE_STRENGTH = 0.85
+# How unlike the photo relief is across cuts, over how unlike itself the photo is, above which rows are broken; see the
+# README.md of the checkpoint
+MAX_BREAK_STRENGTH = 1.25
+UNMOVED_NOISE = -9.0  # of the numbers that say how far tiles are moved: not at all
 # Mean tilt of fitted normals from which a line says that they are guesses
 MIN_DOUBTED_TILT_DEGREES = 1.0
 
@@ -95,17 +101,33 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         return {"mean_tilt_degrees": tilt, **super().remarks(theta, task)}
 
     @override
+    @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Add clauses on clipped highlights and on relief; there are clauses only where networks read quilts."""
-        warnings = super().quality_warnings(theta, tasks)
-        if self.app.find_quilts(theta) is None:
+        """Add clauses on clipped highlights and on relief; there are clauses only where networks read quilts.
+
+        That relief breaks at cuts is said where nothing else is found lost.
+        """
+        warnings, quilts = super().quality_warnings(theta, tasks), self.app.find_quilts(theta)
+        if quilts is None:
             return warnings
-        images = tasks.data["image"][tasks.rows].float() / 255
-        maps = self.app.generate(theta, self.app.shown_noise(tasks.rows))
+        images, noise = tasks.data["image"][tasks.rows].float() / 255, self.app.shown_noise(tasks.rows)
+        normals, photo_normals = self.app.generate(theta, noise).normal, self._generate_photo_normals(theta, tasks)
         return [
-            clauses + clipped_highlight_warnings(image, F0_BOUND_CLAUSE) + _doubt_relief(normal)
-            for clauses, image, normal in zip(warnings, images, maps.normal, strict=True)
+            (clauses or _doubt_rows(photo_normal, places))
+            + clipped_highlight_warnings(image, F0_BOUND_CLAUSE)
+            + _doubt_relief(normal)
+            for clauses, image, photo_normal, normal, places in zip(
+                warnings, images, photo_normals, normals, quilts.places, strict=True
+            )
         ]
+
+    def _generate_photo_normals(self, theta: Params, tasks: Tasks) -> Tensor:
+        """Generate the normals that fits would have if their quilts were the photos in even light, [T, 3, H, W]."""
+        data = {key: value[tasks.rows] for key, value in tasks.data.items()}
+        exemplars = self.app.octaves.take_exemplar(data["image"].float() / 255)
+        even = [remove_quadratic_trend(photo) for photo in self.app.statistics.even_light(exemplars, data)]
+        noise = torch.full_like(self.app.shown_noise(tasks.rows), UNMOVED_NOISE)
+        return self.app.generate(theta | {"quilt": torch.stack(even)}, noise).normal[:, 0]
 
     def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, H, W] and height [1, H, W] in texels at the size of files, scaled by `relief`."""
@@ -116,6 +138,22 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         """Generate maps [C, H, W] of one material at the exemplar's size, and their height [1, H, W] in texels."""
         maps, heights = self.generate_shown(theta, self.app.generate_maps)
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
+
+
+def _doubt_rows(photo_normal: Tensor, places: Tensor) -> list[str]:
+    """Return a clause on rows of the relief that break at cuts between pieces, or none.
+
+    Args:
+        photo_normal: the normals of the photo, [3, H, W]; nearly flat ones show no break.
+        places: the place in the photo of each of the fit's cells, [2, H, W].
+    """
+    if mean_tilt_degrees(photo_normal) < MIN_DOUBTED_TILT_DEGREES:
+        return []
+    strength = break_strength(photo_normal[:2], places)
+    if not strength > MAX_BREAK_STRENGTH:  # NaN: without rows or cuts nothing breaks
+        return []
+    figures = f"{strength:.2f} times as unlike the photo as the photo is, expected {MAX_BREAK_STRENGTH:g} or less"
+    return [f"breaks rows of the relief at cuts, as lit_from_left.png shows ({figures}, {remedy_for('them')})"]
 
 
 def _doubt_relief(normal: Tensor) -> list[str]:
