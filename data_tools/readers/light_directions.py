@@ -3,27 +3,43 @@
 Reflectance transformation imaging (Malzbender et al. 2001) is how museums photograph relief: the camera looks straight
 down, the light comes from a dome or a lamp that is carried around, and programs such as RTIBuilder and Relight write a
 file `.lp`: the number of photographs, then for each its name and the direction to the light, x right, y up, z towards
-the camera.
+the camera. `light_lines` parses it, `named_photos` finds its photographs, and `light_axes` tells by photographs whether
+its axes are others.
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d
+from torch.nn.functional import adaptive_avg_pool2d, normalize
 
+from data_tools.readers.light_lines import LightLine, list_first, read_light_lines
+from data_tools.readers.named_photos import LEAST_PHOTOS, find_named_photos
 from metapp.appearance.flash import texel_positions
-from metapp.storage.files import read_text
 from metapp.storage.folders import list_folder
 
-FAR_HALF_SIDES = 20.0  # distance of the camera
 NEAREST_HALF_SIDES, FARTHEST_HALF_SIDES = 2.0, 50.0  # of lights
 LIGHT_DIRECTIONS_SUFFIX = ".lp"  # of a text beside photographs by a camera that stands still
 COMPARED_CELLS = 16  # a side of the photographs, by which the distance of the lights is found
-MIN_SINE = math.sin(math.radians(10))  # of the angle of a light with the material: lower ones leave it in shadow
+GRAZING_SINE = math.sin(math.radians(10))  # of the angle of a light with the material: lower ones leave it in shadow
+
+
+class Lights(NamedTuple):
+    """Photographs under one light each.
+
+    Attributes:
+        photos: the files.
+        directions: unit vectors towards the lights, x right, y up, z towards the camera, [N, 3].
+        notes: messages for the user of what was taken otherwise than the text states.
+    """
+
+    photos: list[Path]
+    directions: Tensor
+    notes: list[str]
 
 
 def find_light_file(folder: Path) -> Path | None:
@@ -42,39 +58,24 @@ def find_light_file(folder: Path) -> Path | None:
     return folder / names[0] if names else None
 
 
-def read_lights(path: Path) -> tuple[list[Path], Tensor]:
+def read_lights(path: Path) -> Lights:
     """Read a text of light directions, which does not tell how far the lights are.
 
     Photographs are looked for by their names beside the text, whatever folder the text states, since such texts are
-    moved with their photographs. Lights that graze the material, by less than 10 degrees, are left out.
+    moved with their photographs. Lights below the material are left out; if all are, their directions are turned round.
 
     Args:
-        path: the text: the number of photographs, then a line "name x y z" for each.
-
-    Returns:
-        The photographs, and positions of camera and light of each, [N, 2, 3], in half sides of the patch: all are
-        FAR_HALF_SIDES away; :func:`find_light_distance` tells how far the lights are.
+        path: the text; see :func:`read_light_lines`.
 
     Raises:
-        ValueError: the text cannot be read, a line is malformed, or a photograph is missing.
+        ValueError: the text cannot be read, a line is malformed, or too few photographs or lights are left.
     """
-    try:
-        numbered_lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as text, expected a line for each photo; write it again.") from error
-    expected = "expected the number of photos, then 'name x y z' for each; correct it."
-    if not numbered_lines:
-        raise ValueError(f"{path}: no line, {expected}")
-    (number, count_line), *photo_lines = numbered_lines
-    # compared as texts, since int() refuses some digits, and numbers of thousands of digits
-    if count_line.strip().lstrip("0") != str(len(photo_lines)):
-        found = f"line {number} is {count_line.strip()[:20]!r} above {len(photo_lines)} lines"
-        raise ValueError(f"{path}: {found}, {expected}")
-    photos, directions = zip(*(_read_line(path, *photo_line) for photo_line in photo_lines), strict=True)
-    towards = torch.nn.functional.normalize(torch.tensor(directions, dtype=torch.float64), dim=1).float()
-    is_above = (towards[:, 2] > MIN_SINE).tolist()
-    places = FAR_HALF_SIDES * torch.stack([torch.tensor([0.0, 0.0, 1.0]).expand_as(towards), towards], 1)
-    return [photo for photo, above in zip(photos, is_above, strict=True) if above], places[is_above]
+    lines, notes = read_light_lines(path)
+    photos, name_notes = find_named_photos(path, lines)
+    directions = normalize(torch.tensor([line.direction for line in photos], dtype=torch.float64), dim=1).float()
+    directions, below, notes_below = _turn_up(path, list(photos), directions)
+    files = [file for file, is_below in zip(photos.values(), below, strict=True) if not is_below]
+    return Lights(files, directions, [*notes, *name_notes, *notes_below])
 
 
 def find_light_distance(photos: Tensor, places: Tensor) -> float:
@@ -94,24 +95,34 @@ def find_light_distance(photos: Tensor, places: Tensor) -> float:
     ratios = logs - logs.mean(0)
     across = texel_positions(COMPARED_CELLS, COMPARED_CELLS).to(photos)
     gradients = (ratios[:, None] * across).mean((2, 3)) / across.square().mean((1, 2))  # [N, 2], of a half side
-    towards = torch.nn.functional.normalize(places[:, 1], dim=1)[:, :2]
+    towards = normalize(places[:, 1], dim=1)[:, :2]
     towards = towards - towards.mean(0)
     inverse = float((gradients * towards).sum() / (3 * towards.square().sum()).clamp_min(1e-6))
     return 1 / min(max(inverse, 1 / FARTHEST_HALF_SIDES), 1 / NEAREST_HALF_SIDES)
 
 
-def _read_line(path: Path, number: int, line: str) -> tuple[Path, list[float]]:
-    """Return the photograph of a line "name x y z", which has this number, and the direction to its light."""
-    name, *words = line.strip().rsplit(None, 3)
-    try:
-        direction = [float(word) for word in words]
-    except ValueError:
-        direction = []
-    if len(direction) != 3 or not 1e-3 < math.hypot(*direction) < 1e6:
-        found = f"line {number} is {line.strip()[:60]!r}"
-        raise ValueError(f"{path}: {found}, expected a name and a direction x y z; correct it.")
-    photo = path.parent / PureWindowsPath(name.strip('"')).name  # either kind of slash
-    if not photo.is_file():
-        found = f"line {number} names {photo.name[:60]!r}, no such file beside it"
-        raise ValueError(f"{path}: {found}, expected the photo; copy it there.")
-    return photo, direction
+def _turn_up(path: Path, lines: list[LightLine], directions: Tensor) -> tuple[Tensor, list[bool], list[str]]:
+    """Turn directions round that all lead from the lamp to the material, or leave out those below the material.
+
+    Returns:
+        The directions that are left, whether each line is left out, and messages for the user.
+
+    Raises:
+        ValueError: too few are left.
+    """
+    heights = directions[:, 2]
+    if not bool((heights > GRAZING_SINE).any()) and bool((heights < -GRAZING_SINE).any()):
+        found = (
+            f"z is below 0 in {int((heights < 0).sum())} of {len(lines)} directions, as from the lamp to the material"
+        )
+        note = f"{path}: {found}, expected z towards the camera; taken: the opposite directions."
+        directions, below, notes = _turn_up(path, lines, -directions)
+        return directions, below, [note, *notes]
+    below = (heights <= 0).tolist()
+    if not any(below):
+        return directions, below, []
+    places = list_first([line for line, is_below in zip(lines, below, strict=True) if is_below])
+    found = f"{sum(below)} of {len(lines)} lamps are not above the material (z is 0 or less): {places}"
+    if len(lines) - sum(below) < LEAST_PHOTOS:
+        raise ValueError(f"{path}: {found}, expected {LEAST_PHOTOS} or more above it; correct their directions.")
+    return directions[heights > 0], below, [f"{path}: {found}; left out: correct their directions."]

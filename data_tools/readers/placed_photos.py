@@ -23,8 +23,9 @@ from data_tools.readers.input_source import (
     Source,
     Sources,
 )
+from data_tools.readers.light_axes import find_axes
 from data_tools.readers.light_directions import (
-    FAR_HALF_SIDES,
+    GRAZING_SINE,
     LIGHT_DIRECTIONS_SUFFIX,
     find_light_distance,
     find_light_file,
@@ -47,6 +48,7 @@ from metapp.storage.folders import FAILED_PICTURE_SUFFIX, list_folder
 MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
 # Photographs that are read, at most. Time and memory of a fit grow with them: 10 took 16 s, 20 took 51 s and 2.1 GB.
 MAX_PHOTOS = 9
+FAR_HALF_SIDES = 20.0  # distance of a camera that stands still
 MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of the patch
 
 
@@ -73,7 +75,7 @@ def _make_source(folder: Path) -> Source:
 def photos_in(folder: Path) -> list[Path]:
     """Return the photographs right in a folder, in the order of its light directions, else of their names."""
     if lights := find_light_file(folder):
-        return read_lights(lights)[0]
+        return _read_far_lights(lights)[0]
     paths = sorted(Path(entry.path) for entry in list_folder(str(folder)) if not entry.name.startswith("."))
     return [path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX) and is_photo(path)]
 
@@ -101,7 +103,9 @@ def read_task(
     """
     lights = find_light_file(folder)
     if lights:
-        paths, places = read_lights(lights)
+        paths, places, notes = _read_far_lights(lights)
+        for note in notes:
+            warnings.warn(note, stacklevel=2)
     else:
         paths = photos_in(folder) if content is None else content
     if len(paths) < 2:
@@ -127,13 +131,49 @@ def read_task(
             f"{folder}: some photos are equal, expected one from each place: relief is made up; remove repeats.",
             stacklevel=2,
         )
+    places = places[chosen]
     if lights:
-        linear = srgb_to_linear(torch.stack([photo, *others]).float() / 255)
-        places[:, 1] *= find_light_distance(linear, places[chosen]) / FAR_HALF_SIDES
-    data = {"photo": photo, "others": torch.stack(others), "places": places[chosen]}
+        places = _place_lights(lights, srgb_to_linear(torch.stack([photo, *others]).float() / 255), places)
+    data = {"photo": photo, "others": torch.stack(others), "places": places}
     names = ", ".join(paths[index].name for index in chosen)
     note = f"{len(paths)} photos, more than a fit sees; taken: {MAX_PHOTOS} of the most different directions: {names}"
     return Task(folder.resolve().name, data, note=note if len(chosen) < len(paths) else "")
+
+
+def _read_far_lights(path: Path) -> tuple[list[Path], Tensor, list[str]]:
+    """Read a text of light directions; lights that graze the material, by less than 10 degrees, are left out.
+
+    Returns:
+        The photographs, positions of camera and light of each, [N, 2, 3], in half sides of the patch, all
+        FAR_HALF_SIDES away, and messages for the user; see :func:`read_lights`.
+    """
+    lights = read_lights(path)
+    is_high = lights.directions[:, 2] > GRAZING_SINE
+    photos = [photo for photo, high in zip(lights.photos, is_high.tolist(), strict=True) if high]
+    directions = lights.directions[is_high]
+    camera = torch.tensor([0.0, 0.0, 1.0]).expand_as(directions)
+    return photos, FAR_HALF_SIDES * torch.stack([camera, directions], 1), lights.notes
+
+
+def _place_lights(path: Path, photos: Tensor, places: Tensor) -> Tensor:
+    """Return positions of camera and light with axes and distance as photographs tell them; other axes are said.
+
+    Args:
+        path: the text of light directions.
+        photos: linear photographs [N, 3, S, S].
+        places: positions of camera and light, [N, 2, 3], of which the directions count.
+    """
+    found = find_axes(photos.mean(1), torch.nn.functional.normalize(places[:, 1], dim=1))
+    if found.name:
+        warnings.warn(
+            f"{path}: slopes by its directions are no surface's (curl {found.stated_curl:.2f}, expected about 0), "
+            f"taken: {found.name} (curl {found.curl:.2f}); correct the text, and negate x and y if dents are bumps.",
+            stacklevel=3,
+        )
+    camera, light = places.unbind(1)
+    light = light @ found.axes.T
+    distance = find_light_distance(photos, torch.stack([camera, light], 1))
+    return torch.stack([camera, light * (distance / FAR_HALF_SIDES)], 1)
 
 
 def choose_spread(places: Tensor, count: int) -> list[int]:

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from data_tools.readers import placed_photos
-from data_tools.readers.light_directions import FAR_HALF_SIDES, find_light_distance, read_lights
+from data_tools.readers.light_directions import find_light_distance, read_lights
+from data_tools.readers.placed_photos import FAR_HALF_SIDES
 from metapp.appearance.flash import render_maps, texel_positions
 from tests.apps.several.test_several_photos import relief
 from tests.cli.messages import says
@@ -39,17 +40,14 @@ def test_a_folder_is_one_task_in_the_order_of_the_text(folder: Path) -> None:
         (source,), skipped = placed_photos.find(path)
         assert placed_photos.recognises(path)
         assert (source.name, source.path.resolve(), skipped) == ("coin", folder.resolve(), [])
-    paths, places = read_lights(folder / "coin.lp")
-    assert [path.name for path in paths] == ["3 b.png", "1 b.png", "0 b.png", "2 b.png"]
+    paths, directions, notes = read_lights(folder / "coin.lp")
+    assert ([path.name for path in paths], notes) == (["3 b.png", "1 b.png", "0 b.png", "2 b.png"], [])
     task = placed_photos.read_task(folder)
     assert task.data["others"].shape == (COUNT - 1, 3, 256, 256)
-    assert torch.equal(task.data["places"][:, 0], places[:, 0])
-    torch.testing.assert_close(
-        *(torch.nn.functional.normalize(at[:, 1], dim=1) for at in (task.data["places"], places))
-    )
-    assert torch.equal(places[:, 0], torch.tensor([0.0, 0.0, FAR_HALF_SIDES]).expand(COUNT, 3))
-    torch.testing.assert_close(places[:, 1].norm(dim=1), torch.full((COUNT,), FAR_HALF_SIDES))
-    torch.testing.assert_close(places[0, 1] / FAR_HALF_SIDES, torch.tensor([1.0, 0.0, 1.0]) / math.sqrt(2))
+    camera, light = task.data["places"].unbind(1)
+    assert torch.equal(camera, torch.tensor([0.0, 0.0, FAR_HALF_SIDES]).expand(COUNT, 3))
+    torch.testing.assert_close(torch.nn.functional.normalize(light, dim=1), directions)
+    torch.testing.assert_close(directions[0], torch.tensor([1.0, 0.0, 1.0]) / math.sqrt(2))
 
 
 @pytest.mark.parametrize("distance", [3.0, 8.0, 25.0])
@@ -68,7 +66,8 @@ def test_the_distance_of_lights_is_found(distance: float) -> None:
 def test_lights_that_graze_the_material_are_left_out(folder: Path) -> None:
     text = (folder / "coin.lp").read_text().splitlines()
     (folder / "coin.lp").write_text("\n".join([*text[:-1], "2 b.png 1 0 0.1"]))
-    assert [path.name for path in read_lights(folder / "coin.lp")[0]] == ["3 b.png", "1 b.png", "0 b.png"]
+    assert [path.name for path in placed_photos.photos_in(folder)] == ["3 b.png", "1 b.png", "0 b.png"]
+    assert len(read_lights(folder / "coin.lp").photos) == COUNT  # other fits may see what this one cannot
 
 
 @pytest.mark.parametrize(
@@ -77,7 +76,11 @@ def test_lights_that_graze_the_material_are_left_out(folder: Path) -> None:
         (lambda text: text.replace("4\n", "5\n", 1), ("line 1", "'5'", "4 lines", "expected the number of photos")),
         (lambda text: "", ("no line", "expected the number of photos")),
         (lambda text: text.replace("3 b.png 1.0", "3 b.png x"), ("line 2", "expected a name and a direction x y z")),
-        (lambda text: text.replace("3 b", "9 b"), ("line 2", "'9 b.png'", "no such file", "expected the photo")),
+        (
+            lambda text: text.replace("3 b", "9 b").replace("1 b", "8 b"),
+            ("2 of 4", "line 2", "'9 b.png'", "line 3", "'8 b.png'", "no such file", "expected the photos"),
+        ),
+        (lambda text: text.replace(" 1.0\n", " -1.0\n", 2), ("2 of 4 lamps", "line 2", "line 3", "3 or more above it")),
         (lambda text: text + "\0", ("expected the number of photos, then 'name x y z' for each",)),
         (lambda text: "0\n", ("line 1", "'0'", "0 lines", "expected the number of photos")),
         (lambda text: f"\n{text.replace('4', '²', 1)}", ("line 2", "'²'", "4 lines", "expected the number of photos")),
@@ -122,3 +125,67 @@ def test_photographs_of_several_sizes_and_texts_are_refused(metapp: Callable, fo
     )
     (folder / "other.lp").write_text("0\n")
     assert "expected one text of light directions" in metapp("general", "svbrdf_nonstationary", folder).error
+
+
+def names_and_notes(path: Path) -> tuple[list[str], str]:
+    photos, _, notes = read_lights(path)
+    return [photo.name for photo in photos], "\n".join(notes)
+
+
+def test_names_in_other_capitals_and_with_other_endings_are_found_and_said(folder: Path) -> None:
+    path, order = folder / "coin.lp", ["3 b.png", "1 b.png", "0 b.png", "2 b.png"]
+    path.write_text(path.read_text().replace("3 b.png", "3 B.PNG").replace("1 b.png", "1 b.dng"))
+    (folder / "1 b.dng").touch()  # a raw beside its picture
+    names, notes = names_and_notes(path)
+    assert names == order
+    assert says(notes, "coin.lp", "2 of 4 photos have other names", "'3 b.png' for line 2 ('3 B.PNG')")
+    with pytest.warns(UserWarning, match="2 of 4 photos have other names"):
+        placed_photos.read_task(folder)
+    write_image(folder / "1 b.tif", noise_image(48, 64))  # now two files have this stem
+    (folder / "1 b.dng").unlink()
+    names, notes = names_and_notes(path)
+    assert names == [order[0], *order[2:]]
+    assert says(notes, "1 of 4 photos are missing", "line 3 ('1 b.dng')")
+
+
+def test_missing_and_unnamed_photos_are_said_and_left_out(folder: Path) -> None:
+    path = folder / "coin.lp"
+    path.write_text(path.read_text().replace("4\n", "9\n", 1) + "".join(f"gone{n}.png 0 0 1\n" for n in range(5)))
+    for name in ("thumb.jpg", "ball.jpg"):
+        write_image(folder / name, noise_image(48, 64))
+    names, notes = names_and_notes(path)
+    assert len(names) == COUNT
+    assert says(notes, "5 of 9 photos are missing", "line 6 ('gone0.png')", "line 8", "and 2 more", "the other 4")
+    assert says(notes, "does not name: 2", "'ball.jpg', 'thumb.jpg'", "left out")
+
+
+def test_names_that_fit_no_file_are_taken_in_natural_order(tmp_path: Path) -> None:
+    for number in range(1, 12):
+        write_image(tmp_path / f"IMG_{number}.png", noise_image(4, 4))
+    stated = [f"old{number}.tif" for number in range(1, 12)]
+    expected = [f"IMG_{number}.png" for number in range(1, 12)]
+    for names, order in ((stated, expected), (sorted(stated), sorted(expected)), ([""] * 11, expected)):
+        (tmp_path / "coin.lp").write_text(lights(names))
+        photos, notes = names_and_notes(tmp_path / "coin.lp")
+        assert photos == order
+        assert says(notes, "none of its 11 names", "in their order", "'IMG_1.png' for line 2", "'IMG_11.png'")
+    (tmp_path / "IMG_12.png").write_bytes((tmp_path / "IMG_1.png").read_bytes())
+    with pytest.raises(ValueError, match="photos beside it: 12, expected the photos that it names"):
+        read_lights(tmp_path / "coin.lp")
+
+
+def test_directions_from_the_lamp_are_turned_round_and_lamps_below_left_out(folder: Path) -> None:
+    path = folder / "coin.lp"
+    text, (before, directions, _) = path.read_text(), read_lights(path)
+    rows = [line.rsplit(" ", 3) for line in text.splitlines()[1:]]
+    opposite = "".join(f"{name} {-float(x)} {-float(y)} {-float(z)}\n" for name, x, y, z in rows)
+    path.write_text(f"4\n{opposite}")
+    photos, turned, notes = read_lights(path)
+    assert photos == before
+    torch.testing.assert_close(turned, directions)
+    assert says("\n".join(notes), "4 of 4 directions", "from the lamp", "taken: the opposite directions")
+    path.write_text(text.replace(" 1.0\n", " -1.0\n", 1))
+    photos, left, notes = read_lights(path)
+    assert photos == before[1:]
+    assert torch.equal(left, directions[1:])
+    assert says("\n".join(notes), "1 of 4 lamps are not above", "line 2 ('3 b.png')", "left out")
