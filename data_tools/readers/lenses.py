@@ -43,8 +43,9 @@ class ExifLens(NamedTuple):
     def of_picture(self, height: int, width: int) -> ExifLens:
         """Return the lens that holds for a picture, which may show a part of the photograph that EXIF describes.
 
-        A picture of the photograph's ratio of sides, upright or turned, counts as a copy of all of it. Any other one is
-        a part: either of the photograph's own px, or of fewer, since it was scaled down, too.
+        A picture of the photograph's ratio of sides, upright or turned, counts as a copy of all of it, unless it is as
+        high as the photograph is wide, or the reverse: it may be cut out upright. Any other one is a part: either of
+        the photograph's own px, or of fewer, since it was scaled down, too.
 
         Args:
             height: the height of the picture in px.
@@ -59,7 +60,8 @@ class ExifLens(NamedTuple):
         if not self.focal_mm or min(self.whole_px) <= 0:
             return self
         longer_ratio, shorter_ratio = max(self.whole_px) / max(height, width), min(self.whole_px) / min(height, width)
-        if max(longer_ratio / shorter_ratio, shorter_ratio / longer_ratio) <= _MAX_SHAPE_RATIO:
+        is_of_same_shape = max(longer_ratio / shorter_ratio, shorter_ratio / longer_ratio) <= _MAX_SHAPE_RATIO
+        if is_of_same_shape and max(height, width) != min(self.whole_px):
             return self
         whole, photo = math.hypot(*self.whole_px), f"a photo of {self.whole_px[0]:,} x {self.whole_px[1]:,} px"
         scale = min(longer_ratio, shorter_ratio)  # px of the photograph in one of the picture, at most
@@ -86,7 +88,7 @@ def lens_of_exif(
     size: Sequence[int],
     digital_zoom: float = 0.0,
 ) -> ExifLens:
-    """Return the lens that EXIF states; 0 stands for a tag that is missing.
+    """Return the lens that EXIF states; 0 stands for a tag that is missing, and impossible focal lengths count as 0.
 
     The size of the sensor is the number of the picture's px over their number a mm on the sensor.
 
@@ -101,7 +103,7 @@ def lens_of_exif(
     >>> lens_of_exif(0, 18.0, (5728.18, 5808.4), 2, [5184, 3456]).focal_mm.__round__(1)
     28.3
     """
-    if in_film_mm > 0:
+    if _MIN_FILM_FOCAL_MM <= in_film_mm <= _MAX_FILM_FOCAL_MM:
         return _add_digital_zoom(ExifLens(float(in_film_mm)), digital_zoom)
     if not (math.isfinite(focal_mm) and focal_mm > 0):
         return ExifLens()

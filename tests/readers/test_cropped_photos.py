@@ -95,6 +95,16 @@ def test_parts_whose_field_is_sure_take_it(tmp_path: Path) -> None:
     assert float(height) == pytest.approx(1 / math.tan(field_of_view_rad(100, 1200, 1600) / 2), rel=1e-4)
 
 
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_an_upright_part_of_a_lying_photo_may_be_a_turned_copy(tmp_path: Path, is_turned: bool) -> None:
+    """It has the photo's ratio of sides, and is as high as the photo."""
+    size, stated = ((900, 1200), WHOLE_PX) if not is_turned else ((1200, 900), WHOLE_PX[::-1])
+    part, (line,) = view_and_lines(photo(tmp_path / "a.jpg", *size, exif_of(stated)))
+    assert part == 1
+    assert says(line, f"{size[0]:,} x {size[1]:,} px are a part", "perhaps scaled", "41 to 53", "taken for 45", "--fov")
+    assert view_and_lines(photo(tmp_path / "square.jpg", 600, 600, exif_of((600, 600))))[1] == []
+
+
 def test_any_size_that_exif_states_tells_a_part(tmp_path: Path) -> None:
     """Programs that cut pictures update PixelXDimension, but not the related size; some cameras state only others."""
     updated = exif_of((600, 600))

@@ -91,3 +91,12 @@ def test_all_units_of_the_sensor_size_are_read(
 def test_impossible_sensor_sizes_are_ignored(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
     assert lens_of_exif(0, 50, resolution, unit, size) == ExifLens(0.0, "50 mm on a sensor of unknown size")
     assert lens_of_exif(0, math.nan, resolution, unit, size) == ExifLens()
+
+
+@pytest.mark.parametrize("in_film_mm", [0, 1, 4, 65_535])
+def test_impossible_focal_lengths_on_film_count_as_missing(tmp_path: Path, in_film_mm: int) -> None:
+    """Of 1 mm, a fit would see one part in thirty of the photo."""
+    assert side_and_lines(photo(tmp_path / "a.jpg", {FILM: in_film_mm})) == (300, [])
+    assert read_pixels(photo(tmp_path / "b.jpg", CAMERA | {FILM: in_film_mm})).lens.focal_mm == pytest.approx(
+        EXPECTED_MM, rel=1e-5
+    )
