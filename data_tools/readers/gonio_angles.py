@@ -30,7 +30,10 @@ RADIANS_PER_UNIT = {"deg": math.pi / 180, "rad": 1.0}
 # in steps of 45 degrees ends at 0.875 of it.
 MIN_CIRCLE_SHARE = 0.87
 MIN_FILLING_AZIMUTHS = 6  # number of different azimuths below which they do not fill a circle
-AZIMUTH_STEP_DEGREES = 0.05  # azimuths of which most are multiples of it are degrees
+AZIMUTH_STEP_DEGREES = 0.05  # angles of which most are multiples of it are degrees
+# Angles in a column of degrees are radians, too, if all of them are such multiples once they are converted. Those that
+# are written to four digits are off by up to 0.003 degrees, which one in eighty of any angles is by chance.
+RADIAN_STEP_DEGREES, RADIAN_TOLERANCE_DEGREES = 0.5, 0.003
 
 _KIND_WORDS = {
     "theta": ("theta", "zenith", "polar"),
@@ -179,9 +182,18 @@ def _read_angles(path: Path, table: AngleTable, names: Sequence[str]) -> dict[st
     are_small = all(_largest({name: polar[name]}) <= _polar_range(name)[1] + 0.01 for name in polar)
     if len(polar) == len(polar_names) and are_small and _largest(polar) > 0:
         _refuse_radians(path, table, polar, "degrees over the hemisphere, up to about 90")
-    if azimuths and _fill_circle_of_radians(np.concatenate([*azimuths.values()])):
-        _refuse_radians(path, table, azimuths, "degrees, up to 180 or 360")
+    for columns in filter(None, (azimuths, *({name: values} for name, values in in_degrees.items()))):
+        if _are_radians(np.concatenate([*columns.values()]), _circles_rad(next(iter(columns)))):
+            expected = "degrees, up to 180 or 360" if columns.keys() <= azimuths.keys() else "degrees, up to about 90"
+            _refuse_radians(path, table, columns, expected)
     return angles
+
+
+def _circles_rad(name: str) -> tuple[float, ...]:
+    """Return the greatest values in rad of an angle that is measured all around; none of half and difference angles."""
+    if name in ("theta_h", "theta_d"):  # these may well be small
+        return ()
+    return (math.pi, math.tau) if name.startswith("phi") else (math.pi / 2, *_polar_range(name)[1:])
 
 
 def _polar_range(name: str) -> tuple[float, float]:
@@ -194,15 +206,26 @@ def _largest(values: Mapping[str, Doubles]) -> float:
     return max(float(np.abs(column).max(initial=0)) for column in values.values())
 
 
-def _fill_circle_of_radians(azimuths: Doubles) -> bool:
-    """Tell whether azimuths [N] of a column of degrees fill a half or a full circle in radians."""
-    sizes = np.unique(np.abs(azimuths[azimuths != 0]))
-    if len(sizes) < MIN_FILLING_AZIMUTHS:
+def _are_radians(values: Doubles, circles_rad: tuple[float, ...]) -> bool:
+    """Tell whether a column of degrees holds radians, which are whole degrees if they are converted, or fill a circle.
+
+    Args:
+        values: the angles, [N].
+        circles_rad: see :func:`_circles_rad`.
+    """
+    sizes = np.unique(np.abs(values[values != 0]))
+    is_large = len(sizes) > 0 and sizes[-1] > max(circles_rad, default=math.pi / 2) + 0.01
+    if len(sizes) < 2 or is_large or _share_of_multiples(sizes, AZIMUTH_STEP_DEGREES) > 0.5:
         return False
-    steps = sizes / AZIMUTH_STEP_DEGREES
-    are_round = np.mean(np.abs(steps - np.round(steps)) < 1e-6) > 0.5
-    is_filled = any(MIN_CIRCLE_SHARE * circle <= sizes[-1] <= circle + 0.01 for circle in (math.pi, math.tau))
-    return bool(is_filled and not are_round)
+    if _share_of_multiples(np.degrees(sizes), RADIAN_STEP_DEGREES, RADIAN_TOLERANCE_DEGREES) == 1:
+        return True
+    fills = any(MIN_CIRCLE_SHARE * circle <= sizes[-1] <= circle + 0.01 for circle in circles_rad)
+    return fills and len(sizes) >= MIN_FILLING_AZIMUTHS
+
+
+def _share_of_multiples(values: Doubles, step: float, tolerance: float = 0.0) -> float:
+    """Return the share of values [N] that are multiples of a step, within rounding or a larger tolerance."""
+    return float(np.mean(np.abs(values - step * np.round(values / step)) <= max(tolerance, 1e-6 * step)))
 
 
 def _refuse_radians(path: Path, table: AngleTable, columns: Mapping[str, Doubles], expected: str) -> None:
@@ -246,6 +269,8 @@ def _read_angle(path: Path, table: AngleTable, name: str) -> Doubles:
         remedy = "check the unit" if name.startswith("phi") else "leave out directions below the surface"
         if stated_units[0] == "rad" and np.nanmax(np.abs(values)) > high + math.pi / 2:
             remedy = f"if these are degrees, rename the column to {name}_deg"
+        elif name in ("theta_i", "theta_o") and (values * unit >= high - 1e-6).all():
+            remedy = "if these are of the direction in which light travels, subtract them from 180 degrees"
         elif name in ("theta_i", "theta_o"):
             remedy += f", or, if angles are from the surface, rename it to {name.replace('theta', 'elevation')}_deg"
         raise ValueError(

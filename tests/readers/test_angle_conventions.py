@@ -223,3 +223,36 @@ def test_errors_name_the_columns_of_the_file(tmp_path: Path, head: str, row: str
     with pytest.raises(ValueError, match=r"a\.csv: ") as caught:
         gonio.read_pairs(tmp_path / "a.csv")
     assert says(str(caught.value), *facts)
+
+
+@pytest.mark.parametrize("place", ["half circle", "turned sample", "plane", "scattered"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_single_column_of_radians_among_degrees_is_refused(tmp_path: Path, place: str, name: str) -> None:
+    places, index = PLACES[place], NAMES.index(name)
+    if not places[:, index].any():
+        return
+    columns = places.copy()
+    columns[:, index] = np.radians(columns[:, index])
+    with pytest.raises(ValueError, match=f"{name}_deg up to .*they look like radians: rename .*{name}_rad"):
+        lines_about(tmp_path / "a.csv", places, columns, head_of(*NAMES), MATERIALS["clay"])
+
+
+def test_few_or_small_degrees_are_no_radians(tmp_path: Path) -> None:
+    """Lights at 1.5 degrees, an azimuth that was aligned to 0.3, and light beside the normal."""
+    places = PLACES["few lights"].copy()
+    rng = np.random.default_rng(0)
+    for column, values in (
+        (0, np.where(places[:, 0] > 30, 1.5, 0.5)),
+        (1, rng.normal(0.3, 0.1, len(places))),
+        (0, rng.uniform(0, 1.2, len(places))),
+    ):
+        places[:, column] = values
+        assert not lines_about(tmp_path / "a.csv", places, places, head_of(*NAMES), MATERIALS["clay"])
+
+
+def test_light_that_travels_down_is_refused_with_what_helps(tmp_path: Path) -> None:
+    places = PLACES["half circle"]
+    columns = places.copy()
+    columns[:, 0] = 180 - columns[:, 0]
+    with pytest.raises(ValueError, match=r"theta_i 170 deg, .*light travels, subtract them from 180"):
+        lines_about(tmp_path / "a.csv", places, columns, head_of(*NAMES), MATERIALS["clay"])
