@@ -1,5 +1,6 @@
 """Scenes of few objects whose references make many of them, and what ordinary scenes share."""
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -63,12 +64,23 @@ def test_all_names_of_an_object_are_counted() -> None:
 
 
 def test_chains_of_references_are_levels() -> None:
-    check(chain("twosided", ("x",), 40, DIFFUSE))
-    for length in (70, 20_000):
-        with pytest.raises(ValueError, match="by references, more than 64 deep"):
+    check(chain("twosided", ("x",), 15, DIFFUSE))
+    for length in (20, 70, 20_000):
+        with pytest.raises(ValueError, match="by references, more than 16 deep"):
             check(chain("twosided", ("x",), length, DIFFUSE))
-        with pytest.raises(ValueError, match="by references, more than 64 deep"):
+        with pytest.raises(ValueError, match="by references, more than 16 deep"):
             check(dict(reversed(chain("twosided", ("x",), length, DIFFUSE).items())))
+
+
+def test_chains_that_are_written_out_are_levels() -> None:
+    """Mitsuba's code grows by the square of a chain's length, wherever its objects are written."""
+    for length, is_allowed in ((14, True), (30, False)):
+        material: dict[str, Any] = DIFFUSE
+        for _ in range(length):
+            material = {"type": "mask", "opacity": 0.5, "x": material}
+        scene = {"s": {"type": "sphere", "bsdf": material}}
+        with contextlib.nullcontext() if is_allowed else pytest.raises(ValueError, match="more than 16 deep"):
+            check(scene)
 
 
 def test_a_cycle_is_left_to_mitsuba() -> None:
@@ -99,6 +111,10 @@ SPECTRA: dict[str, list[Any]] = {
     "pair 1: a wavelength of -4 nm": [[[-4, 0.1], [400, 0.2]]],
     "pair 2: a value of -0.2": [[[400, 0.1], [500, -0.2]]],
     "pair 1: a value of -1, expected a finite": [-1.0],
+    "pair 1: a value of 1e\\+300, expected a finite": [[[400, 1e300], [700, 0.1]]],
+    "pair 2: a wavelength of 1e\\+200 nm": [[[400, 0.1], [1e200, 0.1]]],
+    "wavelengths of 0.4 to 0.7 nm, which are black, expected some from 360": [[[0.4, 0.1], [0.7, 0.1]]],
+    "wavelengths of 1000 to 2500 nm, which are black": [[[1000, 0.1], [2500, 0.1]]],
 }
 
 

@@ -264,6 +264,8 @@ class _DocumentBuilder:
 
     def _check_version(self, tag: str, version: str, is_included: bool) -> None:
         """Check the version that the root of a document states, and keep the version of the scene's own document."""
+        if tag != "scene" and not is_included:
+            raise ValueError(f"an XML document of <{tag[:40]}>, expected a scene of Mitsuba, <scene>; give one.")
         if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
             raise ValueError(f"a version {version[:20]!r} of <{tag[:20]}>, expected one such as 3.0.0; add it.")
         if not is_included:

@@ -250,7 +250,7 @@ class SceneChecker:
             check_parameters(kind, checked)
             self._check_memory(kind, checked)
         else:
-            check_expansion(checked, MAX_NESTED_LEVELS)
+            check_expansion(checked)
         referenced_names = set(_referenced_names(checked)) if media else set()
         for key, medium in media.items():
             if not referenced_names.isdisjoint((key, str(medium.get("id")))):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from metapp.storage.files import open_regular
 
 MAX_SPECTRUM_BYTES = 2**20  # of a file of a spectrum
+VISIBLE_NM = (360.0, 830.0)  # wavelengths of the CIE's observer, by which Mitsuba computes colours
+_MOST_FLOAT = float(np.finfo(np.float32).max)  # Mitsuba holds wavelengths and values in single precision
 
 
 def check_spectrum(rows: Iterable[tuple[str, Sequence[float]]]) -> None:
@@ -18,22 +21,28 @@ def check_spectrum(rows: Iterable[tuple[str, Sequence[float]]]) -> None:
         rows: for each row its place in messages, such as "line 3", its wavelength in nm and its value.
 
     Raises:
-        ValueError: fewer than two rows, wavelengths that do not rise, negative or infinite numbers.
+        ValueError: fewer than two rows, wavelengths that do not rise or of which none is visible, numbers that are
+            negative or too large for single precision.
     """
-    previous, count = 0.0, 0
+    first, previous, count = 0.0, 0.0, 0
     for place, (wavelength, value) in rows:
-        if not (math.isfinite(wavelength) and wavelength > 0):
+        if not 0 < wavelength <= _MOST_FLOAT:
             raise ValueError(f"{place}: a wavelength of {wavelength:g} nm, expected a positive one; correct it.")
         if wavelength <= previous:
             raise ValueError(
                 f"{place}: a wavelength of {wavelength:g} nm after {previous:g}, expected rising ones; sort the rows."
             )
-        if not (math.isfinite(value) and value >= 0):
+        if not 0 <= value <= _MOST_FLOAT:
             raise ValueError(f"{place}: a value of {value:g}, expected a finite one of 0 or more; correct it.")
-        previous, count = wavelength, count + 1
+        first, previous, count = first or wavelength, wavelength, count + 1
     if count < 2:
         raise ValueError(
             f"a spectrum of {count} rows, expected two or more, of a wavelength and a value; state both ends of it."
+        )
+    if previous <= VISIBLE_NM[0] or first >= VISIBLE_NM[1]:
+        raise ValueError(
+            f"wavelengths of {first:g} to {previous:g} nm, which are black, expected some from {VISIBLE_NM[0]:g} to "
+            f"{VISIBLE_NM[1]:g}; state them in nanometres."
         )
 
 

@@ -177,7 +177,7 @@ def glowing(texture: dict[str, Any]) -> dict[str, Any]:
 BAD: dict[str, tuple[str, str]] = {
     "empty.xml": ("", "not readable as XML"),
     "cut.json": ('{"type": "scene"', "not readable as JSON"),
-    "bsdf.xml": ('<bsdf version="3.0.0" type="diffuse"/>', "or none at all, expected one around all else"),
+    "bsdf.xml": ('<bsdf version="3.0.0" type="diffuse"/>', "an XML document of <bsdf>, expected a scene"),
     "dark.xml": (f'<scene version="3.0.0">{CAMERA}</scene>', "no emitter, expected an area light, an environment, a p"),
     "beam.xml": (xml(f"<shape type='cube'>{BEAM}</shape>"), "an emitter DirectionalArea.*small area light"),
     "blind.xml": (xml().replace(CAMERA, ""), "no sensor, expected a perspective one"),
