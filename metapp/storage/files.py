@@ -39,13 +39,19 @@ DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 _UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _WINDOWS_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)  # a name that Windows reserves
-# Files that a checkout or a download leaves in place of the file itself: beginnings in small letters, and the message
+# Files that a checkout or a download leaves in place of the file itself, or that hold files which no reader takes from
+# them: beginnings in small letters, and the message
 _PLACEHOLDERS = (
     ((b"version https://git-lfs",), "a Git LFS pointer, expected the file itself; fetch it by git lfs pull."),
     (
         (b"<!doctype html", b"<html"),
         "an HTML page, expected the file itself; download it again, by the link of the file.",
     ),
+    (
+        (b"pk\x03\x04", b"\x1f\x8b\x08", b"7z\xbc\xaf\x27\x1c", b"rar!\x1a", b"\xfd7zxz\0", b"bzh91ay&sy"),
+        "packed, as archives and spreadsheets (.xlsx) are, expected the file itself; unpack it, or export it as .csv.",
+    ),
+    ((b"%pdf-",), "a PDF document, expected the file itself; export its picture as PNG, or its table as .csv."),
 )
 _PLACEHOLDER_BYTES = 256  # of a file, in which its beginning is looked for after blanks
 
@@ -143,7 +149,7 @@ def placeholder_line(path: Path) -> str:
     """Return the error message about a placeholder: a file that was left in place of the file that a user wants.
 
     Returns:
-        The message if the file is a Git LFS pointer or a page in HTML; "" for any other path.
+        The message if the file is a Git LFS pointer, a page in HTML, an archive or a PDF; "" for any other path.
     """
     try:
         with open_regular(path) as file:

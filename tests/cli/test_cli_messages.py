@@ -29,9 +29,12 @@ def inputs(networks: Path, metapp: Callable) -> None:
         shutil.copytree(networks / "m1", place)
     np.save("bad/b3.npy", np.full(3, np.nan, np.float32))
     Path("folder").mkdir()
+    Path("empty").mkdir()
+    Path("link.csv").symlink_to("nowhere")
     for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b"",
                           "klems.xml": b"<?xml version='1.0'?><!-- <a> --><WindowElement><b/></WindowElement>",
-                          "rows.json": b'[{"theta_i": 3, "red": 1}]'}.items():  # fmt: skip
+                          "rows.json": b'[{"theta_i": 3, "red": 1}]', "rows.xlsx": b"PK\3\4\x14", "empty.png": b"",
+                          "page.pdf": b"%PDF-1.7"}.items():  # fmt: skip
         Path(name).write_bytes(content)
     write_noise_photo(Path("a.png"))
     Path("broken.safetensors").write_bytes(b"broken")
@@ -113,6 +116,12 @@ overfit brdf text.binary                  | text.binary ; 14 bytes ; 34,992,012 
 overfit brdf photo.png                    | photo.png ; brdf ; MERL ; NBRDF ; svbrdf_stationary, texture
 overfit brdf folder                       | folder ; brdf ; MERL ; NBRDF
 overfit brdf klems.xml                    | klems.xml ; XML ; <WindowElement> ; goniometer .csv ; transport reads
+overfit brdf rows.xlsx                    | rows.xlsx ; packed ; spreadsheets ; unpack it ; .csv
+overfit texture page.pdf                  | page.pdf ; PDF ; export ; PNG
+overfit brdf empty.png                    | empty.png ; empty file ; goniometer .csv ; copy or download it again
+overfit texture empty                     | empty ; empty folder ; put files into it
+overfit brdf link.csv                     | link.csv ; link to nowhere ; existing input files
+overfit transport klems.xml               | klems.xml ; XML document of <WindowElement> ; a scene of Mitsuba, <scene>
 overfit brdf rows.json                    | rows.json ; JSON ; theta_i, red ; goniometer .csv ; transport reads
 overfit brdf --data train                 | train ; 0 test tasks
 general brdf --train --train-steps 3 --data test | brdf ; 0 tasks

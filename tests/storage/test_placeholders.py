@@ -1,6 +1,9 @@
 """Files that cannot be read, such as Git LFS pointers, are refused by every reader; texts have several encodings."""
 
+import bz2
 import codecs
+import gzip
+import lzma
 import os
 import re
 from collections.abc import Callable
@@ -18,6 +21,11 @@ PLACEHOLDERS = {
     "a Git LFS pointer, expected the file itself; fetch it by git lfs pull.": POINTER,
     "an HTML page, expected the file itself; download it again": PAGE,
     "an HTML page": b"\n\n<html lang=en>",
+    "packed, as archives and spreadsheets (.xlsx) are, expected the file itself; unpack it": gzip.compress(b"a"),
+    "packed, as archives": b"PK\x03\x04\x14\0",
+    "packed": bz2.compress(b"a"),
+    "packed,": lzma.compress(b"a"),
+    "a PDF document, expected the file itself; export": b"%PDF-1.7\n1 0 obj",
 }
 
 

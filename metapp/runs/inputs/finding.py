@@ -19,7 +19,7 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.refusals import check_files_of_user, describe_document
+from metapp.runs.inputs.refusals import check_files_of_user, describe_document, is_empty
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import cached_lookup
@@ -179,6 +179,9 @@ def _input_refusal(application: Application, path: Path, expected: str) -> str:
         for form in other.input_formats.values()
         if form.load().recognises(path)
     ]
+    if is_empty(path):
+        kind, remedy = ("folder", "put files into it") if path.is_dir() else ("file", "copy or download it again")
+        return f"{path}: an empty {kind}, expected an input of {application.name} ({expected}); {remedy}."
     document = describe_document(path)
     found = f"{document}, not an input" if document else "not an input"
     hint = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""

@@ -113,7 +113,8 @@ def find_inputs(choice: Choice) -> tuple[list[Input], str]:
     merge_options = [option for option in application.merges if option in options.app_options.non_default_values()]
     for path in options.paths:
         if not path.exists():
-            raise ValueError(f"{path}: no such file or folder; give existing input files.")
+            found = "a link to nowhere" if path.is_symlink() else "no such file or folder"
+            raise ValueError(f"{path}: {found}; give existing input files.")
     if options.data:
         read_named_manifest(options.data)  # the set that a checkpoint was trained on: a mistyped folder is an error
     if merge_options:
