@@ -93,7 +93,7 @@ class Option:
         try:
             return self.parse(given) if self.parse else given
         except (ValueError, TypeError, AttributeError) as error:
-            text = " ".join(map(str, given)) if isinstance(given, tuple) else given
+            text = " ".join(map(str, given)) if isinstance(given, tuple | list) else given
             raise BadOption(f"{self.flag} '{text}': {error}.") from None
 
 

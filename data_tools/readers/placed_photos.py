@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from data_tools.readers.ball_places import mask_of_balls
 from data_tools.readers.image_files import shape_of
 from data_tools.readers.input_source import (
     DAMAGED_FACT,
@@ -50,6 +51,7 @@ MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over t
 MAX_PHOTOS = 9
 FAR_HALF_SIDES = 20.0  # distance of a camera that stands still
 MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of the patch
+MAX_BALL_SHARE = 0.002  # of the square that is fitted, which a ball that tells the lights may cover without a line
 
 
 def recognises(path: Path) -> bool:
@@ -122,6 +124,12 @@ def read_task(
     for path, (height, width) in shapes.items():
         if (height, width) != shapes[paths[0]] or not (lights or width == height):
             raise ValueError(f"{path}: {width} x {height} px, expected {expected}.")
+    if lights and (share := _ball_share(lights, *shapes[paths[0]])) > MAX_BALL_SHARE:
+        warnings.warn(
+            f"{folder}: a ball covers {share:.1%} of the middle square, expected {MAX_BALL_SHARE:.1%} or less; maps "
+            "are wrong there: crop all photos to the material.",
+            stacklevel=2,
+        )
     chosen = choose_spread(places, MAX_PHOTOS)
     photo, *others = (
         correct_exposure(read_photo(paths[index], size, min(size, DEFAULT_PHOTO_PX), layer), stops) for index in chosen
@@ -174,6 +182,13 @@ def _place_lights(path: Path, photos: Tensor, places: Tensor) -> Tensor:
     light = light @ found.axes.T
     distance = find_light_distance(photos, torch.stack([camera, light], 1))
     return torch.stack([camera, light * (distance / FAR_HALF_SIDES)], 1)
+
+
+def _ball_share(light_text: Path, height: int, width: int) -> float:
+    """Return the share of the middle square of photographs that balls cover, whose places stand beside the text."""
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    return float(mask_of_balls(light_text, height, width)[top : top + side, left : left + side].mean())
 
 
 def choose_spread(places: Tensor, count: int) -> list[int]:

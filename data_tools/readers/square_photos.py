@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from data_tools.readers.arrays import pixels_of
+from data_tools.readers.ball_places import BALL_PLACES_SUFFIX
 from data_tools.readers.colours import Floats, integers_to_unit_range
 from data_tools.readers.image_files import Pixels, is_readable_image, read_pixels
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Sources, sources_of_files
@@ -66,7 +67,8 @@ def find_images(path: Path) -> FoundFiles:
 def photo_fault(file: Path) -> str | None:
     """Return the line why a file in a folder is no image; "" for an image, None for a file that needs no line.
 
-    Files count as images by their suffix, or if they can be opened; TEXTS_BESIDE_PHOTOS need no line.
+    Files count as images by their suffix, or if they can be opened; TEXTS_BESIDE_PHOTOS and texts of lights and balls
+    need no line.
     """
     suffix = file.suffix.lower()
     # only these are opened, since opening 50,000 files of any suffix takes a minute
@@ -74,7 +76,8 @@ def photo_fault(file: Path) -> str | None:
         return ""
     if suffix in ALL_PICTURE_SUFFIXES:
         return export_advice(file)
-    return None if file.name in TEXTS_BESIDE_PHOTOS else f"{file}: not an image that can be read, {EXPECTED_IMAGE}."
+    is_text = file.name in TEXTS_BESIDE_PHOTOS or suffix in (LIGHT_DIRECTIONS_SUFFIX, BALL_PLACES_SUFFIX)
+    return None if is_text else f"{file}: not an image that can be read, {EXPECTED_IMAGE}."
 
 
 def is_photo(path: str | Path) -> bool:

@@ -155,8 +155,9 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
         arguments["autocompletion"] = words
     names = [option.flag, *([f"-{option.short}"] if option.short else [])]
     kind = option.kinds[0]
-    if get_origin(kind) is tuple:  # a list of paths; anything else is one word, which the option itself parses
-        kind = list[Path] if get_args(kind)[0] is Path else str
+    if get_origin(kind) is tuple:  # a list of paths, or of words; anything else is one word; the option parses words
+        element = get_args(kind)[0]
+        kind = list[Path] if element is Path else list[str] if get_origin(element) is tuple else str
     if option.name == "export":  # may also be given several times
         kind = list[str]
     annotation = kind if kind is bool else kind | None

@@ -50,7 +50,7 @@ def baselines(registry: Registry) -> None:
 
 
 def capture(registry: Registry) -> None:
-    """Register what reads photos taken by hand: of a mirror ball, and of flat materials."""
+    """Register what reads photos taken by hand: of a mirror ball, of flat materials, and under a lamp that moves."""
     here = f"{_HERE}.capture"
     illumination = registry.applications["illumination"]
     illumination.formats["ball"] = Format(f"{here}.ball.ball_reader", "LDR photos of a ball")
@@ -58,6 +58,7 @@ def capture(registry: Registry) -> None:
     registry.commands["data markers"] = Command(f"{here}.markers.marker_commands:markers_command", position=150)
     registry.commands["data rectify"] = Command(f"{here}.markers.marker_commands:rectify_command", position=160)
     registry.commands["data ball"] = Command(f"{here}.ball.ball_command:ball_command", position=170)
+    registry.commands["data lights"] = Command(f"{here}.lights.lights_command:lights_command", position=175)
 
 
 def compare(registry: Registry) -> None:

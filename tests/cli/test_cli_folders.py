@@ -41,6 +41,7 @@ COMMANDS = {
     "data bsdf {} --out out --quiet": (),
     "data rectify {} --out out --quiet": (),
     "data ball {} --out out --quiet": (),
+    "data lights {} --out out/coin.lp --quiet": (),
     "data check {}": ("set",),
     "data join {} other --out out --quiet": ("set",),
     "export {} merl --quiet": RUNS,
@@ -49,7 +50,7 @@ COMMANDS = {
 }
 # commands that take the data set itself, as their own application's
 TAKEN = ("meta texture", "baseline texture", "meta texture --data", "evaluate texture --data")
-FILES = ("meta", "general", "quickft", "baseline", "data images", "data ball", "data rectify")
+FILES = ("meta", "general", "quickft", "baseline", "data images", "data ball", "data lights", "data rectify")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Light and materials captured by hand: `ball` reads a mirror ball at several exposures, `markers` flat materials.
+"""Light and materials captured by hand: `ball` reads a mirror ball, `markers` flat materials, `lights` lamps.
 
-`hand_photos` has what both do with photographs: display values, outlines of what was found, the import of OpenCV.
+`hand_photos` has what they do with photographs: display values, outlines of what was found, the import of OpenCV.
 """

@@ -65,12 +65,31 @@ class Ball(NamedTuple):
 
     def to_px(self, places: Floats) -> Floats:
         """Return the px [2, ...] of the photograph (right, down) of places [2, ...] in the disc (right, up)."""
+        centre, axes = self._centre(), self.radius * self._axes()[:2]
+        x, y, z = np.tensordot(centre, np.ones(places.shape[1:]), 0) + np.tensordot(axes, places, (0, 0))
+        return np.stack([self.lens.focal * x / z + self.lens.x, self.lens.focal * y / z + self.lens.y])
+
+    def to_places(self, px: Floats) -> Floats:
+        """Return the places [2, ...] in the disc (right, up) of px [2, ...] of the photograph (right, down)."""
+        centre = self._centre()
+        rays = np.stack([px[0] - self.lens.x, px[1] - self.lens.y, np.full(px.shape[1:], self.lens.focal)])
+        in_disc = rays * (centre @ centre / np.tensordot(centre, rays, 1))
+        return np.tensordot(self._axes()[:2], in_disc, 1) / self.radius
+
+    def to_camera(self, directions: Floats) -> Floats:
+        """Return directions [3, ...], seen from the ball with z along its ray to the camera, as the picture's.
+
+        In the picture x is right, y is up, and z is opposite to where the camera looks.
+        """
+        axes = self._axes() * [1.0, -1.0, -1.0]
+        return np.tensordot(axes, directions, (0, 0))
+
+    def _axes(self) -> Floats:
+        """Return right, up and towards the camera as the ball sees them, [3, 3], in the frame of `_centre`."""
         centre = self._centre()
         right = np.cross([0.0, 1.0, 0.0], centre)
         up = np.cross(right, centre)
-        axes = self.radius * np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up)])
-        x, y, z = np.tensordot(centre, np.ones(places.shape[1:]), 0) + np.tensordot(axes, places, (0, 0))
-        return np.stack([self.lens.focal * x / z + self.lens.x, self.lens.focal * y / z + self.lens.y])
+        return np.stack([axis / np.linalg.norm(axis) for axis in (right, up, -centre)])
 
     def resize(self, share: float) -> Ball:
         """Return the ball as it lies in the photograph resized by `share`."""

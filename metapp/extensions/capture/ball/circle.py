@@ -48,17 +48,20 @@ def find_ball(grey: Floats, lens: PinholeLens = PARALLEL_LENS) -> Ball | None:
     Returns:
         The ball; None for a picture without edges.
     """
-    share = min(1.0, _SEARCH_PX / max(grey.shape))
-    edges = _find_edges(grey, share)
+    share, logs = min(1.0, _SEARCH_PX / max(grey.shape)), log_display(grey)
+    edges = find_edges(find_gradients(logs, share))
     resized_lens = Ball(0, 0, 1, lens).resize(share).lens
-    candidates = [_score_ball(edges, Ball(*circle, resized_lens)) for circle in _find_candidates(edges)]
-    moved_balls = [_move_ball(edges, ball) for ball in sorted(candidates, key=_evidence, reverse=True)[:_MAX_REFINED]]
+    candidates = [score_contour(edges, Ball(*circle, resized_lens)) for circle in find_circles(edges)]
+    moved_balls = [move_ball(edges, ball) for ball in sorted(candidates, key=_evidence, reverse=True)[:_MAX_REFINED]]
     if not moved_balls:
         return None
     best = max(moved_balls, key=_evidence)
     refined_share = min(1.0, _REFINEMENT_RADIUS_PX * share / best.radius)
-    refined = _move_ball(
-        _find_edges(grey, refined_share), best.resize(refined_share / share), 1, 1 / _REFINEMENT_RADIUS_PX
+    refined = move_ball(
+        find_edges(find_gradients(logs, refined_share)),
+        best.resize(refined_share / share),
+        1,
+        1 / _REFINEMENT_RADIUS_PX,
     )
     return refined.resize(1 / refined_share)._replace(score=_evidence(best))
 
@@ -71,7 +74,7 @@ def score_ball(grey: Floats, ball: Ball) -> float:
         ball: the ball in the picture.
     """
     share = min(1.0, _SEARCH_PX / max(grey.shape))
-    return _evidence(_score_ball(_find_edges(grey, share), ball.resize(share)))
+    return _evidence(score_contour(find_edges(find_gradients(log_display(grey), share)), ball.resize(share)))
 
 
 def _evidence(ball: Ball) -> float:
@@ -82,28 +85,37 @@ def _evidence(ball: Ball) -> float:
     return (ball.score - _CHANCE_SUPPORT) * math.sqrt(2 * ball.radius / _SEARCH_PX)
 
 
-def _find_edges(grey: Floats, share: float) -> Floats:
-    """Return the edges of a picture, resized by a share up to 1.
+def log_display(grey: Floats) -> Floats:
+    """Return the logarithms of display values in [0, 1], by which edges in light and in shade compare."""
+    logs: Floats = np.log(grey + _LOG_OFFSET)
+    return logs
+
+
+def find_gradients(values: Floats, share: float) -> Floats:
+    """Return the gradients of a picture, resized by a share up to 1 and smoothed.
 
     Args:
-        grey: display values, [H, W].
+        values: values such as :func:`log_display` returns, [H, W].
         share: the size of the result over the picture's.
 
     Returns:
-        [3, h, w]: the gradients along x and y of smoothed logarithms, and the length of a gradient that counts as half
-        an edge.
+        [2, h, w]: the gradients along x and y.
     """
-    logs = np.log(grey + _LOG_OFFSET)
     if share < 1:
-        y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in grey.shape)
-        logs = gaussian_filter(logs, 0.4 / share, mode="nearest")
-        (logs,) = sample_pixels(logs[None], np.stack(np.meshgrid(x, y)))
-    y, x = np.gradient(gaussian_filter(logs, 1.0, mode="nearest"))
-    mean_gradient = uniform_filter(np.hypot(x, y), round(_NEIGHBOURHOOD_SHARE * max(logs.shape)), mode="nearest")
+        y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in values.shape)
+        values = gaussian_filter(values, 0.4 / share, mode="nearest")
+        (values,) = sample_pixels(values[None], np.stack(np.meshgrid(x, y)))
+    return np.stack(np.gradient(gaussian_filter(values, 1.0, mode="nearest"))[::-1])
+
+
+def find_edges(gradients: Floats) -> Floats:
+    """Return gradients [2, h, w] along x and y with a third plane: the length that counts as half an edge there."""
+    x, y = gradients
+    mean_gradient = uniform_filter(np.hypot(x, y), round(_NEIGHBOURHOOD_SHARE * max(x.shape)), mode="nearest")
     return np.stack([x, y, np.maximum(mean_gradient, _NOISE_GRADIENT)])
 
 
-def _score_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII)) -> Ball:
+def score_contour(edges: Floats, ball: Ball, rings: int = len(_RING_RADII)) -> Ball:
     """Return a ball with its score: how well edges agree with it, up to about 1.
 
     The score is the share of the contour that lies on edges along it. It is higher where edges just inside run along
@@ -111,7 +123,7 @@ def _score_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII)) -> Bal
     inside a larger ball. It is -1 where half of the contour is not in the picture.
 
     Args:
-        edges: the edges that :func:`_find_edges` returns, [3, h, w].
+        edges: the edges that :func:`find_edges` returns, [3, h, w].
         ball: the ball, in px of the edges.
         rings: how many of the rings are compared.
     """
@@ -135,11 +147,11 @@ def _score_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII)) -> Bal
     return ball._replace(score=float(support @ _RING_WEIGHTS[:rings]))
 
 
-def _move_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII), step: float = 0.02) -> Ball:
+def move_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII), step: float = 0.02) -> Ball:
     """Move a ball by a few steps of its radius to where most of its contour lies on edges.
 
     Args:
-        edges: the edges that :func:`_find_edges` returns, [3, h, w].
+        edges: the edges that :func:`find_edges` returns, [3, h, w].
         ball: the ball, in px of the edges.
         rings: how many of the rings are compared.
         step: the first step of the search, in radii.
@@ -152,19 +164,25 @@ def _move_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII), step: f
     simplex = np.concatenate([np.zeros((1, 3)), np.diag([step] * 3)]) - step / 4
     options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 120}
     optimum = minimize(
-        lambda change: -_score_ball(edges, change_ball(change), rings).score,
+        lambda change: -score_contour(edges, change_ball(change), rings).score,
         np.zeros(3),
         method="Nelder-Mead",
         options=options,
     )
-    return _score_ball(edges, change_ball(optimum.x))
+    return score_contour(edges, change_ball(optimum.x))
 
 
-def _find_candidates(edges: Floats) -> list[tuple[float, float, float]]:
+def find_circles(
+    edges: Floats, radius_shares: tuple[float, float] = _RADIUS_SHARES
+) -> list[tuple[float, float, float]]:
     """Return the centres and radii of at most _MAX_CANDIDATES circles that edges agree with most.
 
     Edges are complex numbers of twice the angle of their gradients, and so are rings: an edge along a ring counts 1,
     one across it -1.
+
+    Args:
+        edges: the edges that :func:`find_edges` returns, [3, h, w].
+        radius_shares: the least radius over the picture's shorter side, the greatest over the longer side.
     """
     x, y, half_length = edges[:, : edges.shape[1] // _BIN_PX * _BIN_PX, : edges.shape[2] // _BIN_PX * _BIN_PX]
     length = np.hypot(x, y)
@@ -174,7 +192,7 @@ def _find_candidates(edges: Floats) -> list[tuple[float, float, float]]:
     )
     height, width = (side // _BIN_PX for side in directed_edges.shape)
     directed_edges = directed_edges.reshape(height, _BIN_PX, width, _BIN_PX).mean((1, 3))
-    min_radius, max_radius = _RADIUS_SHARES[0] * min(height, width), _RADIUS_SHARES[1] * max(height, width)
+    min_radius, max_radius = radius_shares[0] * min(height, width), radius_shares[1] * max(height, width)
     radii = np.geomspace(min_radius, max_radius, 1 + int(np.log(max_radius / min_radius) / np.log1p(_RADIUS_STEP)))
     margin, ring_reach = round(_MARGIN_SHARE * max(height, width)), math.ceil(max_radius) + 2
     offsets = np.arange(-ring_reach, ring_reach + 1)
