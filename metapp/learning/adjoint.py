@@ -248,7 +248,9 @@ class _LearningNode(torch.autograd.Function):
             theta, state, _, grads = steps.step(at_step(ctx.alpha, i), theta, state, batch)
             ctx.records.append((*before, batch if order == 2 else {}, grads))
         ctx.last_state = state
-        return tuple(theta[key] for key in names)
+        # A result that is kept here, too, such as a parameter that no step changes, would refer to this node, and the
+        # node to it: all records would stay until a full garbage collection, which training hardly ever causes.
+        return tuple(theta[key].detach() for key in names)
 
     @staticmethod
     @once_differentiable

@@ -1,5 +1,6 @@
 """Differentiating through learning: closed forms, an unrolled graph and finite differences must agree with it."""
 
+import gc
 import weakref
 from collections.abc import Callable, Sequence
 
@@ -213,6 +214,27 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     torch.autograd.grad(final.sum(), [theta["x"], rule.alpha["rate"]])
     assert len(alive) == evaluations
     assert max(alive) == 0
+
+
+def test_batches_are_gone_with_the_result_that_was_learned_on_them(randn: Callable[..., Tensor]) -> None:
+    """Reference counts alone free them, also where a rule leaves a parameter as it is, or keeps one in its state."""
+
+    def step(alpha: Params, theta: Params, gradient: Params, state: Params) -> tuple[Params, Params]:
+        moved = theta["x"] - alpha["rate"] * gradient["x"]
+        return {"x": moved, "constant": theta["constant"]}, {"last": moved}
+
+    rule = UpdateRule({"rate": torch.full((1, 1), 0.1).double()}, lambda theta: {"last": theta["x"]}, step)
+    theta = {"x": randn(1, 3).requires_grad_(), "constant": randn(1, 3).requires_grad_()}
+    batches = [{"A": symmetric(randn(1, 3, 3)), "c": randn(1, 3)} for _ in range(3)]
+    batch = weakref.ref(batches[0]["c"])
+    gc.disable()
+    try:
+        final = learn_differentiably(theta, rule, batches, PARABOLA, order=2)
+        torch.autograd.grad(final["x"].sum() + final["constant"].sum(), list(theta.values()))
+        del final, batches
+        assert batch() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("order", [1, 2])
