@@ -269,9 +269,9 @@ def _read_angle(path: Path, table: AngleTable, name: str) -> Doubles:
         remedy = "check the unit" if name.startswith("phi") else "leave out directions below the surface"
         if stated_units[0] == "rad" and np.nanmax(np.abs(values)) > high + math.pi / 2:
             remedy = f"if these are degrees, rename the column to {name}_deg"
-        elif name in ("theta_i", "theta_o") and (values * unit >= high - 1e-6).all():
-            remedy = "if these are of the direction in which light travels, subtract them from 180 degrees"
         elif name in ("theta_i", "theta_o"):
+            if (values * unit >= high - 1e-6).all():
+                remedy = "subtract them from 180 degrees if these are of the direction in which light travels"
             remedy += f", or, if angles are from the surface, rename it to {name.replace('theta', 'elevation')}_deg"
         raise ValueError(
             f"{path}: line {table.lines[row]}: {title.removesuffix(f'_{stated_units[0]}')} {values[row]:.6g} "

@@ -26,7 +26,7 @@ def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeyp
         ],
         [
             *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
-            *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
+            *("cornell", "join", "check", "markers", "rectify", "ball", "lights", "vgg"),
         ],
     ]
     monkeypatch.setitem(registry().commands, "last", Command("os:getcwd"))

@@ -254,5 +254,5 @@ def test_light_that_travels_down_is_refused_with_what_helps(tmp_path: Path) -> N
     places = PLACES["half circle"]
     columns = places.copy()
     columns[:, 0] = 180 - columns[:, 0]
-    with pytest.raises(ValueError, match=r"theta_i 170 deg, .*light travels, subtract them from 180"):
+    with pytest.raises(ValueError, match=r"theta_i 170 deg, .*subtract them from 180 degrees if .*light travels"):
         lines_about(tmp_path / "a.csv", places, columns, head_of(*NAMES), MATERIALS["clay"])

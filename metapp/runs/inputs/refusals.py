@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from data_tools.readers.listing import files_below
 from metapp.registry import registry
 from metapp.storage.files import printable_name, read_bytes
 from metapp.storage.folders import MANIFEST, FolderKind, path_kind, read_json
@@ -37,7 +36,9 @@ def path_refusal(path: Path, kind: FolderKind, expected: str) -> str:
 
 def is_empty(path: Path) -> bool:
     """Tell whether a path is a file without content, or a folder without any file in it."""
-    return not files_below(path) if path.is_dir() else path.stat().st_size == 0
+    if path.is_dir():
+        return not any(entry.is_file() for entry in path.rglob("*"))
+    return path.stat().st_size == 0
 
 
 def describe_document(path: Path) -> str:

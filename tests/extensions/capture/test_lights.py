@@ -153,9 +153,9 @@ def test_the_command_writes_a_text_that_is_read(metapp: Callable, coin: Path) ->
     assert says(result.err, "09.png", "no highlight", "expected one"), result.err
     assert says(result.err, "coin.lp", "9 of 10 photos")
     assert says(result.err, "field of view unknown", "--fov")
-    paths, places = read_lights(coin / "coin.lp")
+    paths, directions, _ = read_lights(coin / "coin.lp")
     assert [path.name for path in paths] == [f"{number:02}.png" for number in range(len(LAMPS))]
-    assert angles_between(places[:, 1].numpy(), LAMPS).max() < MAX_ERROR_DEGREES[20]
+    assert angles_between(directions.numpy(), LAMPS).max() < MAX_ERROR_DEGREES[20]
     output = result.json_result
     assert [photo["name"] for photo in output["photos"]] == [path.name for path in paths]
     assert [Path(photo["source"]).name for photo in output["left_out"]] == ["09.png"]
@@ -176,7 +176,7 @@ def test_a_dome_takes_the_names_of_photographs_without_the_ball(metapp: Callable
     assert says(metapp(*words).error, "vase", "9 photos", "expected 10")
     write_image(tmp_path / "vase/IMG 9.png", noise_image(60, 100, seed=9))
     metapp(*words, "--quiet")
-    assert [path.name for path in read_lights(tmp_path / "vase/vase.lp")[0]] == [
+    assert [path.name for path in read_lights(tmp_path / "vase/vase.lp").photos] == [
         f"IMG {number}.png" for number in range(9)
     ]
     assert not mask_of_balls(tmp_path / "vase/vase.lp", 60, 100).any()
