@@ -171,17 +171,16 @@ def _place_lights(path: Path, photos: Tensor, places: Tensor) -> Tensor:
         photos: linear photographs [N, 3, S, S].
         places: positions of camera and light, [N, 2, 3], of which the directions count.
     """
-    found = find_axes(photos.mean(1), torch.nn.functional.normalize(places[:, 1], dim=1))
+    camera, directions = places[:, 0], torch.nn.functional.normalize(places[:, 1], dim=1)
+    found = find_axes(photos.mean(1), directions)
     if found.name:
         warnings.warn(
             f"{path}: slopes by its directions are no surface's (curl {found.stated_curl:.2f}, expected about 0), "
             f"taken: {found.name} (curl {found.curl:.2f}); correct the text, and negate x and y if dents are bumps.",
             stacklevel=3,
         )
-    camera, light = places.unbind(1)
-    light = light @ found.axes.T
-    distance = find_light_distance(photos, torch.stack([camera, light], 1))
-    return torch.stack([camera, light * (distance / FAR_HALF_SIDES)], 1)
+    light = directions @ found.axes.T
+    return torch.stack([camera, find_light_distance(photos, torch.stack([camera, light], 1)) * light], 1)
 
 
 def _ball_share(light_text: Path, height: int, width: int) -> float:

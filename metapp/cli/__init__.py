@@ -5,8 +5,8 @@ Read in this order: `command_tree` (the commands and their order), `console` (ou
 see), `arguments` (dataclasses of options become options of commands), `help` with `help_page` (what --help prints).
 Then read the commands: `fit_commands` with `fit_output` (fits), `evaluate` with `evaluation_options` and
 `evaluation_output` (tables), `export`, `data` (conversion of files), and `synth` with `synthesis_options` and
-`synthesis` (synthetic data). torch, Mitsuba and colour-science are
-imported inside commands, so that --help answers at once.
+`synthesis` (synthetic data). torch, Mitsuba and colour-science are imported inside commands, so that --help answers at
+once.
 """
 
 from __future__ import annotations

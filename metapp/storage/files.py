@@ -146,7 +146,7 @@ def check_readable(path: Path) -> None:
 
 
 def placeholder_line(path: Path) -> str:
-    """Return the error message about a placeholder: a file that was left in place of the file that a user wants.
+    """Return the error message about a file in place of the one that a user wants: left for it, or with it inside.
 
     Returns:
         The message if the file is a Git LFS pointer, a page in HTML, an archive or a PDF; "" for any other path.

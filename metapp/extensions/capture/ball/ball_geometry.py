@@ -32,6 +32,10 @@ class PinholeLens(NamedTuple):
     x: float
     y: float
 
+    def resize(self, share: float) -> PinholeLens:
+        """Return the camera of the photograph resized by `share`."""
+        return PinholeLens(*(share * length for length in self))
+
 
 PARALLEL_LENS = PinholeLens(1e9, 0.0, 0.0)  # rays are parallel, and contours are circles
 
@@ -93,8 +97,8 @@ class Ball(NamedTuple):
 
     def resize(self, share: float) -> Ball:
         """Return the ball as it lies in the photograph resized by `share`."""
-        x, y, radius, *lens = (share * value for value in (*self[:3], *self.lens))
-        return self._replace(x=x, y=y, radius=radius, lens=PinholeLens(*lens))
+        x, y, radius = (share * length for length in self[:3])
+        return self._replace(x=x, y=y, radius=radius, lens=self.lens.resize(share))
 
 
 def disc_places(size: int) -> Floats:

@@ -50,7 +50,7 @@ def find_ball(grey: Floats, lens: PinholeLens = PARALLEL_LENS) -> Ball | None:
     """
     share, logs = min(1.0, _SEARCH_PX / max(grey.shape)), log_display(grey)
     edges = find_edges(find_gradients(logs, share))
-    resized_lens = Ball(0, 0, 1, lens).resize(share).lens
+    resized_lens = lens.resize(share)
     candidates = [score_contour(edges, Ball(*circle, resized_lens)) for circle in find_circles(edges)]
     moved_balls = [move_ball(edges, ball) for ball in sorted(candidates, key=_evidence, reverse=True)[:_MAX_REFINED]]
     if not moved_balls:

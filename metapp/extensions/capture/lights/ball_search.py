@@ -105,7 +105,7 @@ def find_lit_balls(pictures: Floats, lens: PinholeLens) -> list[LitBall]:
     for searched_px, radius_shares in zip(_SEARCHED_PX, _RADIUS_SHARES, strict=True):
         share = min(1.0, searched_px / max(pictures.shape[1:]))
         edges = find_constant_edges(pictures, share)
-        resized_lens = Ball(0, 0, 1, lens).resize(share).lens
+        resized_lens = lens.resize(share)
         circles = [score_contour(edges, Ball(*circle, resized_lens)) for circle in find_circles(edges, radius_shares)]
         for circle in sorted(circles, key=lambda ball: ball.score, reverse=True)[:_TRIED_CIRCLES]:
             ball = move_ball(edges, circle).resize(1 / share)

@@ -83,8 +83,7 @@ def measure_lights(
     if circles:
         balls = [_place_circle(circle, shape, lens) for circle in circles]
     else:
-        shrunk_lens = Ball(0, 0, 1, lens).resize(1 / factor).lens
-        balls = [lit_ball.ball.resize(factor) for lit_ball in find_lit_balls(pictures, shrunk_lens)]
+        balls = [lit_ball.ball.resize(factor) for lit_ball in find_lit_balls(pictures, lens.resize(1 / factor))]
     if not balls:
         raise ValueError(
             f"{paths[0]} and {len(paths) - 1} more: no glossy ball found, expected one that shows the lamp in most "
