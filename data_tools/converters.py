@@ -191,6 +191,22 @@ class MaterialsConverter(MapsConverter):
     size: SizeOption = 512
 
 
+@dataclass(frozen=True)
+class DomesConverter(MapsConverter):
+    """Photograph real materials by a camera that stands still under many lamps (RTI), for training.
+
+    Maps are read as `metapp data materials` reads them. The relief of a material, laid over waves and raised figures,
+    is rendered with its shadows and interreflections by Mitsuba: 10 s a material on one core.
+
+    Examples:
+      metapp data domes scans --split train --out domes
+      metapp data domes scans/rock scans/bark --lamps 48 --size 128 --out few
+    """
+
+    size: Annotated[int, Option("Side of the photographs.", "PX", low=32, high=512)] = 96
+    lamps: Annotated[int, Option("Lamps, from 8 degrees above the material upwards.", low=4, high=500)] = 80
+
+
 def _parse_folder(path: Path) -> Path:
     """Return a path that is a folder, or raise ValueError."""
     if not path.is_dir():

@@ -13,6 +13,7 @@ from data_tools.readers.listing import FoundFiles
 from metapp.application import Facts
 
 ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, PHOTO_COUNT_FACT = "anisotropic", "samples", "photos"
+LAMP_COUNT_FACT = "lamps"  # number of photographs by a camera that stands still, each under a lamp of its own
 DEFAULT_PHOTO_PX = 256  # side of the picture that a reader makes of a photograph unless told otherwise
 DAMAGED_FACT = "damaged"  # a source that cannot be read; it has no part in choosing a recipe
 REFERENCE_FACT = "reference"  # False for a photo alone, without the thing itself, so that fits can only observe a photo

@@ -15,16 +15,13 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, normalize
+from torch.nn.functional import normalize
 
 from data_tools.readers.light_lines import LightLine, list_first, read_light_lines
 from data_tools.readers.named_photos import LEAST_PHOTOS, find_named_photos
-from metapp.appearance.flash import texel_positions
 from metapp.storage.folders import list_folder
 
-NEAREST_HALF_SIDES, FARTHEST_HALF_SIDES = 2.0, 50.0  # of lights
 LIGHT_DIRECTIONS_SUFFIX = ".lp"  # of a text beside photographs by a camera that stands still
-COMPARED_CELLS = 16  # a side of the photographs, by which the distance of the lights is found
 GRAZING_SINE = math.sin(math.radians(10))  # of the angle of a light with the material: lower ones leave it in shadow
 
 
@@ -76,29 +73,6 @@ def read_lights(path: Path) -> Lights:
     directions, below, notes_below = _turn_up(path, list(photos), directions)
     files = [file for file, is_below in zip(photos.values(), below, strict=True) if not is_below]
     return Lights(files, directions, [*notes, *name_notes, *notes_below])
-
-
-def find_light_distance(photos: Tensor, places: Tensor) -> float:
-    """Find how far lights of one distance are, by how photographs darken away from their lights.
-
-    The irradiance of a point light at the distance r, in the direction l from the middle, falls by the factor
-    exp(-3 l . x / r) towards a place -x nearby. The colours of the material cancel in the ratio of photographs.
-
-    Args:
-        photos: linear photographs [N, 3, S, S] by a camera that stands still.
-        places: positions of camera and light, [N, 2, 3], of which the directions count.
-
-    Returns:
-        The distance in half sides of the photographs, NEAREST_HALF_SIDES to FARTHEST_HALF_SIDES.
-    """
-    logs = adaptive_avg_pool2d((photos.mean(1, keepdim=True) + 0.01).log(), COMPARED_CELLS)[:, 0]
-    ratios = logs - logs.mean(0)
-    across = texel_positions(COMPARED_CELLS, COMPARED_CELLS).to(photos)
-    gradients = (ratios[:, None] * across).mean((2, 3)) / across.square().mean((1, 2))  # [N, 2], of a half side
-    towards = normalize(places[:, 1], dim=1)[:, :2]
-    towards = towards - towards.mean(0)
-    inverse = float((gradients * towards).sum() / (3 * towards.square().sum()).clamp_min(1e-6))
-    return 1 / min(max(inverse, 1 / FARTHEST_HALF_SIDES), 1 / NEAREST_HALF_SIDES)
 
 
 def _turn_up(path: Path, lines: list[LightLine], directions: Tensor) -> tuple[Tensor, list[bool], list[str]]:

@@ -1,8 +1,7 @@
 """Several flash photographs of one flat material in a folder, with the positions of camera and flash.
 
 The layout is that of Guo et al. 2020, "MaterialGAN": rectified images in the order of their names, beside them text
-files. Or a camera stood still under a lamp that moved, and the folder has a text of its directions, see
-`light_directions`. Such a folder is one task.
+files. Such a folder is one task.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from data_tools.readers.ball_places import mask_of_balls
 from data_tools.readers.image_files import shape_of
 from data_tools.readers.input_source import (
     DAMAGED_FACT,
@@ -24,24 +22,15 @@ from data_tools.readers.input_source import (
     Source,
     Sources,
 )
-from data_tools.readers.light_axes import find_axes
-from data_tools.readers.light_directions import (
-    GRAZING_SINE,
-    LIGHT_DIRECTIONS_SUFFIX,
-    find_light_distance,
-    find_light_file,
-    read_lights,
-)
 from data_tools.readers.square_photos import (
     CAMERA_TEXT,
     LIGHT_TEXT,
     SIZE_TEXT,
-    folders_with_places,
+    folders_with_flashes,
     is_photo,
     read_photo,
 )
 from data_tools.readers.svbrdf_task import correct_exposure
-from metapp.appearance.colour import srgb_to_linear
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
 from metapp.storage.folders import FAILED_PICTURE_SUFFIX, list_folder
@@ -49,19 +38,17 @@ from metapp.storage.folders import FAILED_PICTURE_SUFFIX, list_folder
 MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
 # Photographs that are read, at most. Time and memory of a fit grow with them: 10 took 16 s, 20 took 51 s and 2.1 GB.
 MAX_PHOTOS = 9
-FAR_HALF_SIDES = 20.0  # distance of a camera that stands still
 MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of the patch
-MAX_BALL_SHARE = 0.002  # of the square that is fitted, which a ball that tells the lights may cover without a line
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a path is a folder with positions of cameras or flashes at any depth, or a text of lights in one."""
-    return bool(folders_with_places(path)) if path.is_dir() else path.suffix.lower() == LIGHT_DIRECTIONS_SUFFIX
+    """Tell whether a path is a folder with positions of cameras or flashes at any depth."""
+    return path.is_dir() and bool(folders_with_flashes(path))
 
 
 def find(path: Path) -> Sources:
     """Find the folders with positions of cameras or flashes at any depth; other files are skipped without a line."""
-    return [_make_source(folder) for folder in (folders_with_places(path) if path.is_dir() else [path.parent])], []
+    return [_make_source(folder) for folder in folders_with_flashes(path)], []
 
 
 def _make_source(folder: Path) -> Source:
@@ -75,9 +62,7 @@ def _make_source(folder: Path) -> Source:
 
 
 def photos_in(folder: Path) -> list[Path]:
-    """Return the photographs right in a folder, in the order of its light directions, else of their names."""
-    if lights := find_light_file(folder):
-        return _read_far_lights(lights)[0]
+    """Return the photographs right in a folder, in the order of their names."""
     paths = sorted(Path(entry.path) for entry in list_folder(str(folder)) if not entry.name.startswith("."))
     return [path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX) and is_photo(path)]
 
@@ -103,33 +88,18 @@ def read_task(
         ValueError: there are fewer than two photographs; one is not square, or of another size; the folder cannot be
             read (see :func:`read_photo` and :func:`read_places`).
     """
-    lights = find_light_file(folder)
-    if lights:
-        paths, places, notes = _read_far_lights(lights)
-        for note in notes:
-            warnings.warn(note, stacklevel=2)
-    else:
-        paths = photos_in(folder) if content is None else content
+    paths = photos_in(folder) if content is None else content
     if len(paths) < 2:
         raise ValueError(
             f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "
             "add some, or give one photo by its name."
         )
-    if lights:
-        expected = "photos of one size, by a camera that stands still; leave others out"
-    else:
-        places = read_places(folder, len(paths))
-        expected = "square photos of one size, all of the same part of the material; rectify them"
+    places = read_places(folder, len(paths))
+    expected = "square photos of one size, all of the same part of the material; rectify them"
     shapes = {path: shape_of(path) for path in paths}
     for path, (height, width) in shapes.items():
-        if (height, width) != shapes[paths[0]] or not (lights or width == height):
+        if (height, width) != shapes[paths[0]] or width != height:
             raise ValueError(f"{path}: {width} x {height} px, expected {expected}.")
-    if lights and (share := _ball_share(lights, *shapes[paths[0]])) > MAX_BALL_SHARE:
-        warnings.warn(
-            f"{folder}: a ball covers {share:.1%} of the middle square, expected {MAX_BALL_SHARE:.1%} or less; maps "
-            "are wrong there: crop all photos to the material.",
-            stacklevel=2,
-        )
     chosen = choose_spread(places, MAX_PHOTOS)
     photo, *others = (
         correct_exposure(read_photo(paths[index], size, min(size, DEFAULT_PHOTO_PX), layer), stops) for index in chosen
@@ -140,54 +110,10 @@ def read_task(
             stacklevel=2,
         )
     places = places[chosen]
-    if lights:
-        places = _place_lights(lights, srgb_to_linear(torch.stack([photo, *others]).float() / 255), places)
     data = {"photo": photo, "others": torch.stack(others), "places": places}
     names = ", ".join(paths[index].name for index in chosen)
     note = f"{len(paths)} photos, more than a fit sees; taken: {MAX_PHOTOS} of the most different directions: {names}"
     return Task(folder.resolve().name, data, note=note if len(chosen) < len(paths) else "")
-
-
-def _read_far_lights(path: Path) -> tuple[list[Path], Tensor, list[str]]:
-    """Read a text of light directions; lights that graze the material, by less than 10 degrees, are left out.
-
-    Returns:
-        The photographs, positions of camera and light of each, [N, 2, 3], in half sides of the patch, all
-        FAR_HALF_SIDES away, and messages for the user; see :func:`read_lights`.
-    """
-    lights = read_lights(path)
-    is_high = lights.directions[:, 2] > GRAZING_SINE
-    photos = [photo for photo, high in zip(lights.photos, is_high.tolist(), strict=True) if high]
-    directions = lights.directions[is_high]
-    camera = torch.tensor([0.0, 0.0, 1.0]).expand_as(directions)
-    return photos, FAR_HALF_SIDES * torch.stack([camera, directions], 1), lights.notes
-
-
-def _place_lights(path: Path, photos: Tensor, places: Tensor) -> Tensor:
-    """Return positions of camera and light with axes and distance as photographs tell them; other axes are said.
-
-    Args:
-        path: the text of light directions.
-        photos: linear photographs [N, 3, S, S].
-        places: positions of camera and light, [N, 2, 3], of which the directions count.
-    """
-    camera, directions = places[:, 0], torch.nn.functional.normalize(places[:, 1], dim=1)
-    found = find_axes(photos.mean(1), directions)
-    if found.name:
-        warnings.warn(
-            f"{path}: slopes by its directions are no surface's (curl {found.stated_curl:.2f}, expected about 0), "
-            f"taken: {found.name} (curl {found.curl:.2f}); correct the text, and negate x and y if dents are bumps.",
-            stacklevel=3,
-        )
-    light = directions @ found.axes.T
-    return torch.stack([camera, find_light_distance(photos, torch.stack([camera, light], 1)) * light], 1)
-
-
-def _ball_share(light_text: Path, height: int, width: int) -> float:
-    """Return the share of the middle square of photographs that balls cover, whose places stand beside the text."""
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    return float(mask_of_balls(light_text, height, width)[top : top + side, left : left + side].mean())
 
 
 def choose_spread(places: Tensor, count: int) -> list[int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -93,18 +94,32 @@ def recognises(path: str | Path) -> bool:
 
 
 def folders_with_places(folder: Path) -> list[Path]:
+    """Return the folders that state positions of camera or flash, or directions of lights; see the next functions."""
+    return sorted([*folders_with_flashes(folder), *folders_with_lights(folder)])
+
+
+def folders_with_flashes(folder: Path) -> list[Path]:
     """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones.
 
-    A text that is none, such as a folder or a pipe of its name, counts, too: reading it says what is wrong.
+    A text that is none, such as a folder or a pipe of its name, counts, too: reading it says what is wrong. Folders
+    with directions of lights do not count.
     """
+    folders = _folders_with(folder, lambda name: name in (CAMERA_TEXT, LIGHT_TEXT))
+    with_lights = set(folders_with_lights(folder))
+    return [folder for folder in folders if folder not in with_lights]
+
+
+def folders_with_lights(folder: Path) -> list[Path]:
+    """Return the folders, from this one down, with a text of light directions (RTI), sorted, without hidden ones."""
+    return _folders_with(
+        folder, lambda name: name.lower().endswith(LIGHT_DIRECTIONS_SUFFIX) and not name.startswith(".")
+    )
+
+
+def _folders_with(folder: Path, is_wanted: Callable[[str], bool]) -> list[Path]:
+    """Return the folders, from this one down, that have an entry of a wanted name, sorted, without hidden ones."""
     folders = {file.parent for file in files_below(folder)}
-    return sorted(folder for folder in folders if any(_states_places(entry.name) for entry in list_folder(str(folder))))
-
-
-def _states_places(name: str) -> bool:
-    """Tell whether a file of this name states positions of camera or flash."""
-    is_of_lights = name.lower().endswith(LIGHT_DIRECTIONS_SUFFIX) and not name.startswith(".")
-    return is_of_lights or name in (CAMERA_TEXT, LIGHT_TEXT)
+    return sorted(folder for folder in folders if any(is_wanted(entry.name) for entry in list_folder(str(folder))))
 
 
 def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Task:

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from data_tools.readers.input_source import PHOTO_COUNT_FACT, REFERENCE_FACT
+from data_tools.readers.input_source import LAMP_COUNT_FACT, PHOTO_COUNT_FACT, REFERENCE_FACT
+from data_tools.readers.named_photos import LEAST_PHOTOS
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera_position, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import unpack_maps
@@ -26,17 +27,29 @@ UNITS = {
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
 
+LAMP_UNITS = {
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the mean of all photographs",
+    "lit": "sRGB, uint8 0..255 [lamps, 3, height, width]; photographs by a camera straight above",
+    "lamps": "float32 [lamps, 3], unit vectors towards the lamps: x right, y up, z towards the camera",
+    "maps": UNITS["maps"] + "; colours relative to the exposure",
+}
+
 CLIPPED_RADIANCE = 0.95  # of white 1; of brighter px only a lower limit of their radiance is known
 _MIN_MEAN_Z = 0.3  # of a normal map; a picture of middle brightness has 0
 _MIN_NORMAL_Z = 0.02  # normals that point into the surface are raised to it, since nobody could see them
 
 
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
-    """Return the facts that the tensors of a task state: how many photographs it has, and whether its maps are known.
+    """Return the facts that the tensors of a task state: how many photographs and lamps, and whether maps are known.
 
     Args:
         tensors: tensors by name; None for a tensor of which the name alone is known, as of a data set that is not read.
     """
+    if "lit" in tensors:
+        lit = tensors["lit"]
+        # a data set that is not read tells no numbers
+        count = LEAST_PHOTOS if lit is None else len(lit)
+        return {PHOTO_COUNT_FACT: count, LAMP_COUNT_FACT: count, REFERENCE_FACT: "maps" in tensors}
     others = tensors.get("others")
     photo_count = 1 + len(others) if others is not None else 2 if "places" in tensors else 1
     return {PHOTO_COUNT_FACT: photo_count, REFERENCE_FACT: "maps" in tensors}

@@ -53,6 +53,19 @@ class HasReflectance(Protocol):
         """
 
 
+@runtime_checkable
+class CanRelight(Protocol):
+    """An application of objects that were photographed under many lamps, which :class:`Fit` relights."""
+
+    def relight(self, task: Task, directions: Tensor) -> Tensor:
+        """Return the object under lamps in other directions, linear RGB [K, 3, H, W] in [0, 1].
+
+        Args:
+            task: the task, with its photographs.
+            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
+        """
+
+
 class Fit:
     """A fit of one task.
 
@@ -188,6 +201,31 @@ class Fit:
         with torch_defaults(single=self.app.small_tensors):
             maps = self.choice.presenter.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
+
+    def relight(self, directions: object) -> np.ndarray:
+        """Return an object that was photographed under many lamps (RTI) as it looks under others.
+
+        Args:
+            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera; an array or a tensor.
+
+        Returns:
+            Linear RGB pictures [K, H, W, 3] in [0, 1], float32, as large as the photographs that the fit saw.
+
+        Raises:
+            ValueError: the fit saw no photographs under lamps, or its input is no longer there; the vectors have
+                another length or shape.
+        """
+        lamps, app = unit_vectors(self.name, directions, "directions"), self.app
+        if not isinstance(app, CanRelight):
+            raise ValueError(
+                f"{self.name}: a fit of {self.app.full_name} by the recipe {self.settings['recipe']}, expected one of "
+                "photos under lamps (RTI), by svbrdf_nonstationary; fit a folder with a .lp file."
+            )
+        if not self.task.data:
+            raise ValueError(f"{self.name}: no photos any more, expected those that were fitted; bring them back.")
+        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
+            pictures = app.relight(self.task, lamps.float())
+        return np.ascontiguousarray(pictures.permute(0, 2, 3, 1).numpy())
 
     def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""

@@ -4,9 +4,9 @@ Read `maps`, what maps are, and `flashes`, how they look under a flash; then `ap
 of components. `field_maps` has the decoder of maps by a field, with `photographed_maps`, its answers; `material_sight`
 what all sights share, `maps_sight` fits that see the maps and `photo_sight` fits of one photograph; `map_judge` how
 maps are judged, with the outer loss of fields in `field_judge`; `encoder` General's encoder; `variants` data
-augmentation. `pretrained` has the components for one photograph by features of VGG-16, and `several` those for several
-photographs. People photograph from the `places` that are drawn for training. `recipes` and `presenter` are as in every
-application.
+augmentation. `pretrained` has the components for one photograph by features of VGG-16, `several` those for several
+photographs, and `rti` those for photographs under many lamps. People photograph from the `places` that are drawn for
+training. `recipes` and `presenter` are as in every application.
 """
 
 from __future__ import annotations
@@ -45,6 +45,9 @@ def register(registry: Registry) -> None:
         paradigms=("general", "quickft", "meta"),
         describe_missing_file=Lazy(f"{package}.pretrained.encoder:describe_missing_weights"),
     )
+    recipes["photo", "rti"] = RecipeEntry(
+        f"{package}.rti.recipe:RTI", inputs="photos under many lamps (RTI)", suits={"lamps": (3, math.inf)}
+    )
     recipes["photo", "several"] = RecipeEntry(
         f"{package}.several.recipe:SEVERAL", inputs="several photos", suits={"photos": (2, math.inf)}
     )
@@ -52,14 +55,16 @@ def register(registry: Registry) -> None:
     formats["svbrdf"] = Format("data_tools.readers.svbrdf_inputs", "flash photos, strips, a material's maps")
     formats["placed"] = Format(
         "data_tools.readers.placed_photos",
-        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt, or of "
-        "RTI with a .lp",
+        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
     )
+    formats["rti"] = Format("data_tools.readers.rti_photos", "folders of photos under many lamps (RTI) with a .lp")
     # what follows is converted to data sets alone
     formats["maps"] = Format("data_tools.readers.material_maps")
     formats["strips"] = Format("data_tools.readers.strips")
     formats["materials"] = Format("data_tools.readers.training_materials", data_sets=True)
+    formats["domes"] = Format("data_tools.synthetic.domes")
     registry.add(nonstationary)
     registry.commands["data maps"] = Command("data_tools.converters:MapsConverter", position=80)
     registry.commands["data strips"] = Command("data_tools.converters:StripsConverter", position=90)
     registry.commands["data materials"] = Command("data_tools.converters:MaterialsConverter", position=100)
+    registry.commands["data domes"] = Command("data_tools.converters:DomesConverter", position=105)

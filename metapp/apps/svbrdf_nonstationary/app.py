@@ -10,11 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import torch
 from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
+from metapp.apps.svbrdf_nonstationary.flashes import photograph_by
 from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge
-from metapp.apps.svbrdf_nonstationary.maps import pool_maps
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, photographed_size
 from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialAnswer, MaterialDecoder
 from metapp.learning.app import ErrorMeasure
@@ -60,6 +63,8 @@ class SvbrdfNonstationary(ComposedApp):
         "predicted": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
         "places": TensorSpec(("N", 2, 3), low=-1e3, high=1e3, optional=True),
         "map_weights": TensorSpec((4,), low=0.0, optional=True),
+        "lit": TensorSpec(("L", 3, "S", "S"), "uint8", optional=True),
+        "lamps": TensorSpec(("L", 3), low=-1.001, high=1.001, optional=True),
     }
 
     @property
@@ -104,6 +109,25 @@ class SvbrdfNonstationary(ComposedApp):
         except ValueError as error:
             raise ValueError(f"{task.name}: {error}") from None
         return answer
+
+    @torch.no_grad()
+    def rerender_photos(self, theta: Params, task: Task, side: int) -> tuple[Tensor, Tensor] | None:
+        """Return what a fit says of each photograph of its task, and the photographs, linear [N, 3, side, side].
+
+        Here these are renderings of the maps under each flash, as the fit places it; None if fits see no photograph.
+
+        Args:
+            theta: the parameters of the fit, without a task axis.
+            task: the task of the fit.
+            side: the side in px.
+        """
+        photos = self.sight.photos(task)
+        if photos is None:
+            return None
+        photos = adaptive_avg_pool2d(decode_photo(photos), side)
+        answer = self.decode(theta, task, photos[:1])
+        maps = self.sight.fill(answer, photos[:1])
+        return torch.stack([photograph_by(flash, maps) for flash in answer.flash_of_each_photo()]), photos
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -101,3 +101,8 @@ def render_photo(maps: Maps, flash: Flash, positions: Tensor | None = None) -> T
 def render_photos(maps: Maps, flashes: Flash) -> Tensor:
     """Return the radiance [T, N, 3, H, W] of maps [T, C, H, W] under each of the flashes [T, N] of a task."""
     return render_photo(Maps(*(part[:, None] for part in maps)), flashes)
+
+
+def photograph_by(flash: Flash, maps: Maps) -> Tensor:
+    """Return the radiance [3, H, W] of maps [1, C, H, W] under a flash without leading axes."""
+    return render_photo(maps, Flash(*(part[None] for part in flash)))[0]

@@ -21,7 +21,7 @@ from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph_maps, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
+from metapp.apps.svbrdf_nonstationary.flashes import Flash, photograph_by
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_log_radiance
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
 from metapp.learning.app import stack_tasks
@@ -82,7 +82,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         pictures = map_pictures(scale_relief(maps, self.relief))
         if names := self.app.sight.picture_names(task):
             for name, flash in zip(names, self.flashes(theta, task), strict=True):
-                radiance = _photograph_by(flash, Maps(*(part[None] for part in maps)))
+                radiance = photograph_by(flash, Maps(*(part[None] for part in maps)))
                 pictures[name] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
         return pictures
 
@@ -112,15 +112,11 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @override
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the maps under each photograph's flash, as the fit places it."""
-        photos = self.app.sight.photos(task)
-        if photos is None:
+        """Return what the fit says of each photograph, of at most SHOWN_PX a side."""
+        pair = self.app.rerender_photos(theta, task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+        if pair is None:
             return None
-        photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
-        answer = self.app.decode(theta, task, photos[:1])
-        maps = self.app.sight.fill(answer, photos[:1])
-        pictures = torch.stack([_photograph_by(flash, maps) for flash in answer.flash_of_each_photo()])
-        return PictureComparison(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
+        return PictureComparison(*(linear_to_srgb(pictures.clamp(0, 1)) for pictures in pair))
 
     @override
     @torch.no_grad()
@@ -152,7 +148,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
     def _shown_maps(self, theta: Params, task: Task) -> Maps:
         """Return the maps [C, H, W] of the size of files, as fitted."""
-        side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
+        side = self.size[0] if self.size else min(self.app.read_size or FINEST_PX, task.data["photo"].shape[-1])
 
         def make() -> Maps:
             photo = _resize_photo(task, side)
@@ -172,11 +168,6 @@ def _resize_photo(task: Task, side: int) -> Tensor:
 def _small_photo(task: Task) -> Tensor:
     """Return the photograph, linear [1, 3, h, w], of at most SHOWN_PX a side."""
     return _resize_photo(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-
-
-def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
-    """Return the radiance [3, H, W] of maps [1, C, H, W] under a flash without task axis."""
-    return render_photo(maps, Flash(*(part[None] for part in flash)))[0]
 
 
 def _draw_linear_maps(maps: Maps) -> dict[str, Tensor]:

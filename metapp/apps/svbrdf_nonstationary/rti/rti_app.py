@@ -1,0 +1,63 @@
+"""The application of non-stationary svBRDFs from photographs under many lamps, whose fits can be relit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, interpolate
+from typing_extensions import override
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.svbrdf_maps import Maps
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, normalise
+from metapp.apps.svbrdf_nonstationary.rti.curve_network import TexelAnswer, answer_of
+from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, mix_photos
+from metapp.learning.task import Params, Task, add_task_axis
+
+
+@dataclass(frozen=True)
+class RtiApp(SvbrdfNonstationary):
+    """The application of photographs under many lamps."""
+
+    @override
+    @torch.no_grad()
+    def decode(self, theta: Params, task: Task, photo: Tensor) -> TexelAnswer:
+        """Return maps at the size of the photographs, then averaged or interpolated to the size of `photo`."""
+        seen = self.sight.seen_type(*(value[None] for value in self.sight.prepare(task, self.decoder)))
+        maps = self.sight.fill(self.decoder(add_task_axis(theta), seen), seen.photo)
+        return answer_of(_resize_maps(maps, photo.shape[-2:]))
+
+    @override
+    @torch.no_grad()
+    def rerender_photos(self, theta: Params, task: Task, side: int) -> tuple[Tensor, Tensor]:
+        """Return each photograph as all others predict it, and the photographs, linear [N, 3, side, side]."""
+        lamps = task.data["lamps"].float()
+        process = choose_process(task.data["lit"], lamps)
+        photos = adaptive_avg_pool2d(decode_photo(task.data["lit"]), side)
+        display = (linear_to_srgb(photos) * 255).round().to(torch.uint8)
+        predicted = mix_photos(process.leaving_one_out(lamps), display).clamp(0, 1)
+        return srgb_to_linear(predicted), photos
+
+    def relight(self, task: Task, directions: Tensor) -> Tensor:
+        """Return the object under lamps in other directions, linear RGB [K, 3, H, W] in [0, 1].
+
+        Args:
+            task: the task, with photographs under N lamps.
+            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
+        """
+        photos, lamps = task.data["lit"], task.data["lamps"].float()
+        weights = choose_process(photos, lamps).interpolation(directions, lamps)
+        return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1))
+
+
+def _resize_maps(maps: Maps, size: torch.Size) -> Maps:
+    """Average maps [T, C, H, W] over areas, or interpolate them, to another size."""
+    height, width = size
+    if height > maps.normal.shape[-2]:
+        resized = Maps(*(interpolate(part, (height, width), mode="bilinear") for part in maps))
+    else:
+        resized = Maps(*(adaptive_avg_pool2d(part, (height, width)) for part in maps))
+    return resized._replace(normal=normalise(resized.normal))
