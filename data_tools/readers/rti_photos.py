@@ -30,7 +30,6 @@ from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import srgb_to_linear
 from metapp.learning.task import Task
 
-MAX_BALL_SHARE = 0.002  # of the square that is fitted, which a ball that tells the lights may cover without a line
 COMPARED_PX = 128  # side of the photographs by which axes are compared
 
 
@@ -83,13 +82,8 @@ def read_task(folder: Path, size: int = DEFAULT_PHOTO_PX, stops: float = 0.0, la
                 f"{path}: {width} x {height} px, expected {first_shape[1]} x {first_shape[0]} as in "
                 f"{lights.photos[0].name}, by a camera that stands still; leave others out."
             )
-    if (share := _ball_share(text, *first_shape)) > MAX_BALL_SHARE:
-        warnings.warn(
-            f"{folder}: a ball covers {share:.1%} of the middle square, expected {MAX_BALL_SHARE:.1%} or less; maps "
-            "are wrong there: crop all photos to the material.",
-            stacklevel=2,
-        )
     photos = _read_photos(lights.photos, size, stops, layer)
+    _leave_out_balls(text, photos, *first_shape)
     _warn_of_repeats(folder, photos)
     small = adaptive_avg_pool2d(photos.float() / 255, min(COMPARED_PX, photos.shape[-1]))
     lamps = _correct_axes(text, srgb_to_linear(small).mean(1), normalize(lights.directions, dim=1))
@@ -148,8 +142,23 @@ def _correct_axes(path: Path, photos: Tensor, directions: Tensor) -> Tensor:
     return directions @ found.axes.T
 
 
-def _ball_share(light_text: Path, height: int, width: int) -> float:
-    """Return the share of the middle square of photographs that balls cover, whose places stand beside the text."""
+def _leave_out_balls(light_text: Path, photos: Tensor, height: int, width: int) -> None:
+    """Make photographs [N, 3, S, S] black where balls are, whose places stand beside the text of lights.
+
+    Args:
+        light_text: the text of light directions.
+        photos: the middle squares of the photographs.
+        height: the height of the whole photographs in px.
+        width: the width of the whole photographs in px.
+    """
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
-    return float(mask_of_balls(light_text, height, width)[top : top + side, left : left + side].mean())
+    is_ball = torch.from_numpy(mask_of_balls(light_text, height, width)[top : top + side, left : left + side])
+    shares = adaptive_avg_pool2d(is_ball.float()[None], photos.shape[-1])[0]
+    if bool((shares > 0).any()):
+        photos[:, :, shares > 0] = 0
+        warnings.warn(
+            f"{light_text.parent}: a ball covers {float(shares.mean()):.1%} of the middle square: left out, black in "
+            "pictures.",
+            stacklevel=3,
+        )

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 VISIBLE_TILT_DEGREES = 3.0
 MIN_TABLE_CHARACTERS = 50  # least width of a table, so that its title stays on one line
 PHOTO_ERROR_TEXT = "mean |fit - photo| of display values where the photo does not clip"
+LEFT_OUT_FIGURE = "left_out_db"  # PSNR of photographs that others predict, which fits state that can be relit
 MAX_LISTED_PATHS = 5  # exported files of one format, up to which each is listed
 MAX_LISTED_TASKS = 20  # tasks in the table of a run
 
@@ -124,7 +125,7 @@ def _task_document(record: FitRecord) -> Document:
     """Return what --json prints of a fit."""
     stored = record.document()
     shown: Document = {key: stored[key] for key in ("name", "error", "photo_error") if key in stored}
-    shown |= {key: record.figures[key] for key in ("mean_tilt_degrees",) if key in record.figures}
+    shown |= {key: record.figures[key] for key in ("mean_tilt_degrees", LEFT_OUT_FIGURE) if key in record.figures}
     shown |= {key: stored[key] for key in ("seconds", "counts", "note", "warning") if key in stored}
     return shown | {"folder": record.folder}
 
@@ -155,6 +156,9 @@ def fit_line(presenter: Presenter[Any], record: FitRecord) -> str:
     app, count = presenter.app, len([*Path(record.folder).glob("*.png")])
     if record.error is not None:
         error = f"error{app.error_measure.factor} {record.error:.3f} ({app.error_measure.text})"
+    elif LEFT_OUT_FIGURE in record.figures and record.photo_error is not None:
+        psnr_db = record.figures[LEFT_OUT_FIGURE]
+        error = f"photos that were left out are predicted to {psnr_db:.1f} dB, {record.photo_error:.2f} %"
     elif record.photo_error is not None:
         error = f"photo error {record.photo_error:.2f} % ({PHOTO_ERROR_TEXT})"
     else:

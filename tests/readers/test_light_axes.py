@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import placed_photos
+from data_tools.readers import rti_photos
 from data_tools.readers.light_axes import find_axes
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.height_fields import normal_from_height
@@ -78,8 +78,7 @@ def test_a_text_whose_y_points_down_gives_the_lights_of_the_right_one(
         write_image(tmp_path / f"{number}.png", np.ascontiguousarray(pixels[..., None].repeat(3, 2)))
     rows = [f"{number}.png {x} {sign * y} {z}\n" for number, (x, y, z) in enumerate(lamps.tolist())]
     (tmp_path / "coin.lp").write_text("8\n" + "".join(rows))
-    lights = placed_photos.read_task(tmp_path).data["places"][:, 1]
-    torch.testing.assert_close(torch.nn.functional.normalize(lights, dim=1), lamps)
+    torch.testing.assert_close(rti_photos.read_task(tmp_path).data["lamps"], lamps)
     warnings = [str(warning.message) for warning in recwarn]
     assert len(warnings) == (sign < 0)
     assert all("coin.lp" in text and "y points down" in text and "correct the text" in text for text in warnings)

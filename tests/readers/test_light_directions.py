@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import placed_photos
-from data_tools.readers.light_directions import find_light_distance, read_lights
-from data_tools.readers.placed_photos import FAR_HALF_SIDES
-from metapp.appearance.flash import render_maps, texel_positions
-from tests.apps.several.test_several_photos import relief
+from data_tools.readers import rti_photos
+from data_tools.readers.light_directions import read_lights
+from metapp.appearance.colour import srgb_to_linear
 from tests.cli.messages import says
 from tests.pictures import noise_image, write_image
 
@@ -37,37 +35,17 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_folder_is_one_task_in_the_order_of_the_text(folder: Path) -> None:
     for path in (folder, folder / "coin.lp", folder.parent):
-        (source,), skipped = placed_photos.find(path)
-        assert placed_photos.recognises(path)
+        (source,), skipped = rti_photos.find(path)
+        assert rti_photos.recognises(path)
         assert (source.name, source.path.resolve(), skipped) == ("coin", folder.resolve(), [])
     paths, directions, notes = read_lights(folder / "coin.lp")
     assert ([path.name for path in paths], notes) == (["3 b.png", "1 b.png", "0 b.png", "2 b.png"], [])
-    task = placed_photos.read_task(folder)
-    assert task.data["others"].shape == (COUNT - 1, 3, 256, 256)
-    camera, light = task.data["places"].unbind(1)
-    assert torch.equal(camera, torch.tensor([0.0, 0.0, FAR_HALF_SIDES]).expand(COUNT, 3))
-    torch.testing.assert_close(torch.nn.functional.normalize(light, dim=1), directions)
+    task = rti_photos.read_task(folder)
+    assert task.data["lit"].shape == (COUNT, 3, 256, 256)
+    torch.testing.assert_close(task.data["lamps"], directions)
+    mean = srgb_to_linear(task.data["lit"].float() / 255).mean(0)
+    torch.testing.assert_close(srgb_to_linear(task.data["photo"].float() / 255), mean, atol=0.01, rtol=0)
     torch.testing.assert_close(directions[0], torch.tensor([1.0, 0.0, 1.0]) / math.sqrt(2))
-
-
-@pytest.mark.parametrize("distance", [3.0, 8.0, 25.0])
-def test_the_distance_of_lights_is_found(distance: float) -> None:
-    turns = torch.arange(6) * math.pi / 3
-    towards = torch.stack([0.6 * turns.cos(), 0.6 * turns.sin(), torch.full((6,), 0.8)], 1)
-    places = torch.stack([torch.tensor([0.0, 0.0, 20.0]).expand(6, 3), towards], 1)
-    maps = relief(64)
-    lit = [
-        render_maps(maps, texel_positions(64, 64), distance * way[None], places[:1, 0], intensity=torch.ones(1, 1))
-        for way in towards
-    ]
-    assert find_light_distance(torch.cat(lit) * distance**2 / 2, places) == pytest.approx(distance, rel=0.25)
-
-
-def test_lights_that_graze_the_material_are_left_out(folder: Path) -> None:
-    text = (folder / "coin.lp").read_text().splitlines()
-    (folder / "coin.lp").write_text("\n".join([*text[:-1], "2 b.png 1 0 0.1"]))
-    assert [path.name for path in placed_photos.photos_in(folder)] == ["3 b.png", "1 b.png", "0 b.png"]
-    assert len(read_lights(folder / "coin.lp").photos) == COUNT  # other fits may see what this one cannot
 
 
 @pytest.mark.parametrize(
@@ -120,7 +98,7 @@ def test_a_text_that_is_a_folder_or_a_pipe_is_not_ignored(
 def test_photographs_of_several_sizes_and_texts_are_refused(metapp: Callable, folder: Path) -> None:
     write_image(folder / "0 b.png", noise_image(48, 48))
     assert (
-        "expected photos of one size, by a camera that stands"
+        "expected 64 x 48 as in 3 b.png, by a camera that stands still"
         in metapp("general", "svbrdf_nonstationary", folder).error
     )
     (folder / "other.lp").write_text("0\n")
@@ -140,7 +118,7 @@ def test_names_in_other_capitals_and_with_other_endings_are_found_and_said(folde
     assert names == order
     assert says(notes, "coin.lp", "2 of 4 photos have other names", "'3 b.png' for line 2 ('3 B.PNG')")
     with pytest.warns(UserWarning, match="2 of 4 photos have other names"):
-        placed_photos.read_task(folder)
+        rti_photos.read_task(folder)
     write_image(folder / "1 b.tif", noise_image(48, 64))  # now two files have this stem
     (folder / "1 b.dng").unlink()
     names, notes = names_and_notes(path)

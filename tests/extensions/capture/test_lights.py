@@ -8,7 +8,7 @@ import pytest
 
 from data_tools.readers.ball_places import mask_of_balls, write_ball_places
 from data_tools.readers.light_directions import read_lights
-from data_tools.readers.placed_photos import read_task
+from data_tools.readers.rti_photos import read_task
 from metapp.extensions.capture.ball.ball_geometry import Ball, PinholeLens
 from metapp.extensions.capture.lights.ball_search import find_lit_balls
 from metapp.extensions.capture.lights.highlights import measure_highlights
@@ -218,7 +218,7 @@ def test_a_ball_in_the_fitted_square_is_said(
     (tmp_path / "coin.lp").write_text("3\n" + "".join(f"{number}.png {number - 1} 0 1\n" for number in range(3)))
     write_ball_places(tmp_path / "coin.lp", [place], 60, 100)
     read_task(tmp_path, 64)
-    assert any(says(str(warning.message), "ball covers", "crop") for warning in recwarn) == is_said
+    assert any(says(str(warning.message), "ball covers", "left out") for warning in recwarn) == is_said
 
 
 @pytest.mark.parametrize("text", ["", "100\n", "100 60\n5 5\n", "100 60\n5 5 nan\n", "100 60\na b c\n", "0 0\n1 1 1\n"])

@@ -80,16 +80,28 @@ def choose_process(photos: Tensor, lamps: Tensor) -> LightProcess:
         photos: photographs, sRGB uint8 [N, 3, H, W].
         lamps: unit vectors towards their lamps, [N, 3].
     """
+    candidates = itertools.starmap(LightProcess, itertools.product(LENGTHS, ELONGATIONS, NOISES))
+    return max(candidates, key=lambda process: float(left_out_db(process, photos, lamps).mean()))
+
+
+def left_out_db(process: LightProcess, photos: Tensor, lamps: Tensor) -> Tensor:
+    """Return how well each photograph is predicted by all others, as the PSNR of display values in dB, [N].
+
+    Args:
+        process: the process that predicts it.
+        photos: photographs, sRGB uint8 [N, 3, H, W].
+        lamps: unit vectors towards their lamps, [N, 3].
+    """
+    values = sample_pixels(photos)
+    errors = process.leaving_one_out(lamps) @ values - values
+    return -10 * (errors.square().mean(1) + LEAST_ERROR**2).log10()
+
+
+def sample_pixels(photos: Tensor) -> Tensor:
+    """Return display values of about COMPARED_PIXELS evenly spread pixels of photographs, [N, 3 P] in [0, 1]."""
     values = photos.flatten(2)
     step = max(1, values.shape[-1] // COMPARED_PIXELS)
-    compared = values[..., step // 2 :: step].flatten(1).float() / 255
-
-    def mean_log_error(process: LightProcess) -> float:
-        errors = process.leaving_one_out(lamps) @ compared - compared
-        return float((errors.square().mean(1) + LEAST_ERROR**2).log().mean())
-
-    candidates = itertools.starmap(LightProcess, itertools.product(LENGTHS, ELONGATIONS, NOISES))
-    return min(candidates, key=mean_log_error)
+    return values[..., step // 2 :: step].flatten(1).float() / 255
 
 
 def mix_photos(weights: Tensor, photos: Tensor) -> Tensor:

@@ -12,12 +12,13 @@ from typing_extensions import override
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import evaluate_brdf
 from metapp.appearance.pictures import VisibleData
-from metapp.appearance.svbrdf_maps import Maps
+from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import CurveNetwork, LitTexels, TexelAnswer
 from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_weights
+from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, left_out_db
 from metapp.apps.svbrdf_nonstationary.rti.lit_augmentation import draw_lit_texels
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks
@@ -79,7 +80,9 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
         logs = (srgb_to_linear(seen.colours.float() / 255) + LOG_FLOOR).log()
         residual = logs - (radiance.clamp(0, 1) + LOG_FLOOR).log()
         gain = residual.detach().flatten(2).median(-1).values[..., None, None]
-        return round_absolute(residual - gain, smoothing).mean((1, 2, 3))
+        # texels that are black in all photographs, such as those of a ball, show nothing
+        is_shown = (seen.colours.amax((1, 2), keepdim=True) > 0).float()
+        return (round_absolute(residual - gain, smoothing) * is_shown).mean((1, 2, 3))
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
@@ -89,6 +92,16 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
     @override
     def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[LitTexels, TrueMaps]:
         return draw_lit_texels(tasks, rng)
+
+    @override
+    def fit_remarks(self, answer: TexelAnswer, task: Task) -> dict[str, object]:
+        """Return the mean tilt of normals, the number of photographs, and how well others predict each left-out one."""
+        photos, lamps = task.data["lit"], task.data["lamps"].float()
+        return {
+            "mean_tilt_degrees": mean_tilt_degrees(answer.maps.normal),
+            "left_out_db": float(left_out_db(choose_process(photos, lamps), photos, lamps).mean()),
+            "counts": {"photos": len(photos)},
+        }
 
     @override
     def describe_visible(self, task: Task) -> VisibleData:

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from metapp.apps.svbrdf_nonstationary.rti.light_process import (
-    COMPARED_PIXELS,
     LightProcess,
     choose_process,
     mix_photos,
+    sample_pixels,
 )
 
 
@@ -47,8 +47,6 @@ def make_relit_planes(photos: Tensor, lamps: Tensor, count: int) -> RelitPlanes:
         lamps: unit vectors towards their lamps, [N, 3].
         count: the number of planes.
     """
-    values = photos.flatten(2)
-    step = max(1, values.shape[-1] // COMPARED_PIXELS)
-    sample = values[..., step // 2 :: step].flatten(1).double() / 255
+    sample = sample_pixels(photos).double()
     components = torch.linalg.eigh(sample @ sample.T).eigenvectors.flip(1)[:, :count].float()
     return RelitPlanes(mix_photos(components.T, photos), components, lamps, choose_process(photos, lamps))
