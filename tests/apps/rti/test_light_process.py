@@ -1,10 +1,17 @@
 """Photographs under unseen lamps: exact where theory says so, and as if photographs had been left out."""
 
+import pytest
 import torch
 
-from metapp.apps.svbrdf_nonstationary.rti.light_process import LightProcess, choose_process, mix_photos
+from metapp.apps.svbrdf_nonstationary.rti.light_process import (
+    LightProcess,
+    choose_process,
+    left_out_gain_db,
+    mix_photos,
+)
+from metapp.apps.svbrdf_nonstationary.rti.lit_sight import LEAST_GAIN_DB
 from metapp.apps.svbrdf_nonstationary.rti.relit_planes import make_relit_planes
-from tests.apps.rti.scenes import dome, photograph, wavy_maps
+from tests.apps.rti.scenes import dome, lit_task, photograph, wavy_maps
 
 PROCESS = LightProcess(1.8, 1.5, 1e-4)
 
@@ -58,3 +65,11 @@ def test_planes_relight_as_all_photographs_do() -> None:
         errors.append(float((pictures - expected).square().mean().sqrt()))
     assert errors[0] > 1.5 * errors[1] > 3 * errors[2]
     assert errors[2] < 1e-4
+
+
+@pytest.mark.parametrize("lamps", [8, 40])
+def test_directions_of_other_photographs_are_a_doubt(lamps: int) -> None:
+    task = lit_task(side=24, lamps=lamps, specular=0.04)
+    mixed = task.data["lamps"][torch.randperm(lamps, generator=torch.Generator().manual_seed(2))]
+    gains = [left_out_gain_db(task.data["lit"], directions) for directions in (task.data["lamps"], mixed)]
+    assert gains[0] > LEAST_GAIN_DB + 1 > LEAST_GAIN_DB - 1 > gains[1]

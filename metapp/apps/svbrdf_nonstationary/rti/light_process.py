@@ -97,6 +97,16 @@ def left_out_db(process: LightProcess, photos: Tensor, lamps: Tensor) -> Tensor:
     return -10 * (errors.square().mean(1) + LEAST_ERROR**2).log10()
 
 
+def left_out_gain_db(photos: Tensor, lamps: Tensor) -> float:
+    """Return by how much directions to lamps predict photographs better than the mean photograph does, in dB.
+
+    See :func:`left_out_db` for the arguments.
+    """
+    values = sample_pixels(photos)
+    mean_db = -10 * ((values - values.mean(0)).square().mean(1) + LEAST_ERROR**2).log10()
+    return float((left_out_db(choose_process(photos, lamps), photos, lamps) - mean_db).mean())
+
+
 def sample_pixels(photos: Tensor) -> Tensor:
     """Return display values of about COMPARED_PIXELS evenly spread pixels of photographs, [N, 3 P] in [0, 1]."""
     values = photos.flatten(2)
