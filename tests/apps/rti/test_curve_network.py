@@ -98,6 +98,17 @@ def test_training_sees_turned_and_exposed_domes_that_agree_with_their_maps() -> 
     assert bool((true_loss < 0.25 * turned_loss).all()), (true_loss, turned_loss)
 
 
+@pytest.mark.parametrize("side", [8, 16, 24])
+def test_maps_are_answered_at_any_size(side: int) -> None:
+    theta = {name: value[0] for name, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
+    maps = APP.decode(theta, lit_task(), torch.zeros(1, 3, side, side)).maps
+    expected = torch.nn.functional.normalize(
+        torch.nn.functional.interpolate(wavy_maps(16).normal[None], (side, side), mode="bilinear", antialias=True),
+        dim=1,
+    )
+    assert mean_angle_degrees(maps.normal.flatten(2), expected.flatten(2)) < 1
+
+
 @pytest.mark.parametrize("missing", ["lit", "lamps"])
 def test_other_tasks_are_refused(missing: str) -> None:
     task = lit_task()

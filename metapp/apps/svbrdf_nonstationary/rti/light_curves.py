@@ -11,8 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import srgb_to_linear
-from metapp.apps.svbrdf_nonstationary.maps import MIN_NORMAL_Z
+from metapp.apps.svbrdf_nonstationary.maps import MIN_NORMAL_Z, decode_photo
 from metapp.apps.svbrdf_nonstationary.rti.light_process import LightProcess
 
 CURVE_DIRECTIONS = 64  # directions to lamps, at which light curves are known whatever the lamps were
@@ -62,7 +61,7 @@ def read_texels(colours: Tensor, lamps: Tensor, weights: Tensor) -> TexelReading
         weights: the weights of photographs in light curves, [T, CURVE_DIRECTIONS, N]; see :func:`curve_weights`.
     """
     display = colours.float() / 255
-    gray, linear = display.mean(2), srgb_to_linear(display)
+    gray, linear = display.mean(2), decode_photo(colours)
     linear_gray = linear.mean(2)
     ordered = gray.sort(1).values
     last = gray.shape[1] - 1

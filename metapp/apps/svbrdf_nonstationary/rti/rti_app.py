@@ -25,10 +25,17 @@ class RtiApp(SvbrdfNonstationary):
     @override
     @torch.no_grad()
     def decode(self, theta: Params, task: Task, photo: Tensor) -> TexelAnswer:
-        """Return maps at the size of the photographs, then averaged or interpolated to the size of `photo`."""
+        """Return maps at the size of `photo`, by photographs that are averaged to it, or else interpolated."""
+        size = photo.shape[-2:]
+        if size[0] < task.data["lit"].shape[-1]:
+            task = task._replace(
+                data=task.data | {name: _pool_photos(task.data[name], size) for name in ("lit", "photo")}
+            )
         seen = self.sight.seen_type(*(value[None] for value in self.sight.prepare(task, self.decoder)))
         maps = self.sight.fill(self.decoder(add_task_axis(theta), seen), seen.photo)
-        return answer_of(_resize_maps(maps, photo.shape[-2:]))
+        if size != maps.normal.shape[-2:]:
+            maps = Maps(*(interpolate(part, size, mode="bilinear") for part in maps))
+        return answer_of(maps._replace(normal=normalise(maps.normal)))
 
     @override
     @torch.no_grad()
@@ -36,10 +43,8 @@ class RtiApp(SvbrdfNonstationary):
         """Return each photograph as all others predict it, and the photographs, linear [N, 3, side, side]."""
         lamps = task.data["lamps"].float()
         process = choose_process(task.data["lit"], lamps)
-        photos = adaptive_avg_pool2d(decode_photo(task.data["lit"]), side)
-        display = (linear_to_srgb(photos) * 255).round().to(torch.uint8)
-        predicted = mix_photos(process.leaving_one_out(lamps), display).clamp(0, 1)
-        return srgb_to_linear(predicted), photos
+        photos = _pool_photos(task.data["lit"], torch.Size((side, side)))
+        return srgb_to_linear(mix_photos(process.leaving_one_out(lamps), photos).clamp(0, 1)), decode_photo(photos)
 
     def relight(self, task: Task, directions: Tensor) -> Tensor:
         """Return the object under lamps in other directions, linear RGB [K, 3, H, W] in [0, 1].
@@ -53,11 +58,10 @@ class RtiApp(SvbrdfNonstationary):
         return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1))
 
 
-def _resize_maps(maps: Maps, size: torch.Size) -> Maps:
-    """Average maps [T, C, H, W] over areas, or interpolate them, to another size."""
-    height, width = size
-    if height > maps.normal.shape[-2]:
-        resized = Maps(*(interpolate(part, (height, width), mode="bilinear") for part in maps))
-    else:
-        resized = Maps(*(adaptive_avg_pool2d(part, (height, width)) for part in maps))
-    return resized._replace(normal=normalise(resized.normal))
+def _pool_photos(photos: Tensor, size: torch.Size) -> Tensor:
+    """Average the linear values of photographs, sRGB uint8 [..., 3, H, W], over areas to another size."""
+    pooled = [
+        adaptive_avg_pool2d(decode_photo(photo), (size[0], size[1])) for photo in photos.reshape(-1, *photos.shape[-3:])
+    ]
+    display = (linear_to_srgb(torch.stack(pooled)) * 255).round().to(torch.uint8)
+    return display.reshape(*photos.shape[:-2], *size)
