@@ -14,7 +14,8 @@ from torch import Tensor
 
 from metapp.appearance.surface import DIELECTRIC_F0
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.rendering.types import Interaction, Mitsuba, Scene
+from metapp.rendering.jit import dr, mi
+from metapp.rendering.types import Interaction, Scene
 from metapp.rendering.variant import load_mitsuba
 
 SEEN_HALF_SIDE = 0.85  # half side of the part that the camera sees: what lies around it casts shadows, too
@@ -47,46 +48,44 @@ def light_relief(maps: Maps, height: Tensor, lamps: Tensor, side: int, seed: int
     Raises:
         ValueError: Mitsuba cannot be imported; see :func:`load_mitsuba`.
     """
-    mi = load_mitsuba()
-    import drjit
-
-    scene = mi.load_dict({"type": "scene", "relief": _make_mesh(mi, maps, height)})
+    load_mitsuba()
+    scene = mi.load_dict({"type": "scene", "relief": _make_mesh(maps, height)})
     radiance, normals = np.zeros((len(lamps), 3, side * side), np.float32), np.zeros((3, side * side), np.float32)
     for sample in range(SAMPLES_PER_PIXEL):
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed * SAMPLES_PER_PIXEL + sample, side * side)
-        seen = _trace_from_above(mi, drjit, scene, side, sampler)
+        seen = _trace_from_above(scene, side, sampler)
         context, bsdf = mi.BSDFContext(), seen.bsdf()
         reflected, weight = bsdf.sample(context, seen, sampler.next_1d(), sampler.next_2d())
         lighting = scene.ray_intersect(seen.spawn_ray(seen.to_world(reflected.wo)))
-        weight = drjit.select(lighting.is_valid(), weight, 0)
-        drjit.eval(seen, lighting, weight)
+        weight = dr.select(lighting.is_valid(), weight, 0)
+        dr.eval(seen, lighting, weight)
         normals += np.array(seen.sh_frame.n).reshape(3, -1)
         for number, lamp in enumerate(lamps.tolist()):
             # opaque numbers, so that one compiled kernel serves all lamps
-            direction = mi.Vector3f(*(drjit.opaque(mi.Float, component) for component in lamp))
-            direct, indirect = (_light_directly(mi, drjit, scene, point, direction) for point in (seen, lighting))
-            radiance[number] += np.array(drjit.pi * (direct + weight * indirect)).reshape(3, -1)
+            direction = mi.Vector3f(*(dr.opaque(mi.Float, component) for component in lamp))
+            direct, indirect = (_light_directly(scene, point, direction) for point in (seen, lighting))
+            radiance[number] += np.array(dr.pi * (direct + weight * indirect)).reshape(3, -1)
     mean = torch.from_numpy(radiance / SAMPLES_PER_PIXEL).unflatten(-1, (side, side))
     normal = torch.nn.functional.normalize(torch.from_numpy(normals), dim=0)
     return LitRelief(mean, normal.unflatten(-1, (side, side)))
 
 
-def _trace_from_above(mi: Mitsuba, drjit: Any, scene: Scene, side: int, sampler: Any) -> Interaction:
+def _trace_from_above(scene: Scene, side: int, sampler: Any) -> Interaction:
     """Return what parallel rays from above meet first, one in each pixel of rows from the top, at random in it."""
-    index, jitter = drjit.arange(mi.UInt32, side * side), sampler.next_2d()
+    index, jitter = dr.arange(mi.UInt32, side * side), sampler.next_2d()
     x = ((mi.Float(index % side) + jitter.x) / side * 2 - 1) * SEEN_HALF_SIDE
     y = (1 - (mi.Float(index // side) + jitter.y) / side * 2) * SEEN_HALF_SIDE
     return scene.ray_intersect(mi.Ray3f(mi.Point3f(x, y, CAMERA_HEIGHT), mi.Vector3f(0, 0, -1)))
 
 
-def _light_directly(mi: Mitsuba, drjit: Any, scene: Scene, point: Interaction, direction: Any) -> Any:
+def _light_directly(scene: Scene, point: Interaction, direction: Any) -> Any:
     """Return the reflected radiance over the irradiance of a plane that faces a lamp; 0 in shadow, in 1/sr."""
     value = point.bsdf().eval(mi.BSDFContext(), point, point.to_local(direction))
-    return drjit.select(point.is_valid() & ~scene.ray_test(point.spawn_ray(direction)), value, 0)
+    return dr.select(point.is_valid() & ~scene.ray_test(point.spawn_ray(direction)), value, 0)
 
 
-def _make_mesh(mi: Mitsuba, maps: Maps, height: Tensor) -> Any:
+def _make_mesh(maps: Maps, height: Tensor) -> Any:
     """Return a mesh of two triangles for each texel, with the principled BSDF that is closest to the maps."""
     side = height.shape[-1]
     # one more row and column, since a mesh does not continue at the opposite edge
@@ -100,7 +99,7 @@ def _make_mesh(mi: Mitsuba, maps: Maps, height: Tensor) -> Any:
     lower, upper = (upper_left, lower_left, lower_right), (upper_left, lower_right, upper_right)
     faces = np.concatenate([np.stack(lower, 1), np.stack(upper, 1)])
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": _describe_bsdf(mi, maps)})
+    properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": _describe_bsdf(maps)})
     mesh = mi.Mesh(
         "relief", len(positions), len(faces), has_vertex_normals=True, has_vertex_texcoords=True, props=properties
     )
@@ -112,7 +111,7 @@ def _make_mesh(mi: Mitsuba, maps: Maps, height: Tensor) -> Any:
     return mesh
 
 
-def _describe_bsdf(mi: Mitsuba, maps: Maps) -> dict[str, object]:
+def _describe_bsdf(maps: Maps) -> dict[str, object]:
     """Describe a principled BSDF by base colour, metallic and roughness, which follow from the maps."""
     above = (maps.specular - DIELECTRIC_F0).clamp_min(0).mean(0, keepdim=True)
     metallic = above / (maps.diffuse.mean(0, keepdim=True) + above).clamp_min(1e-6)

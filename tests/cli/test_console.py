@@ -25,7 +25,8 @@ def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeyp
             *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
         ],
         [
-            *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
+            *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "domes"),
+            "laval",
             *("cornell", "join", "check", "markers", "rectify", "ball", "lights", "vgg"),
         ],
     ]
