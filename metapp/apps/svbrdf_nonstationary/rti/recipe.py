@@ -19,14 +19,14 @@ RTI = replace(
     PHOTO_RECIPES["full"],
     app=RtiApp(CurveNetwork(), LitSight(), LitJudge(), MeanEncoder(), FINEST_RTI_PX),
     steps=15,
-    samples=1024,
+    samples=512,
     overfit_steps=1000,
     overfit=Adam(2e-3, final_rate_share=0.0),
     finetune_steps=150,
     finetune=Adam(1e-4, final_rate_share=0.0),
     quickft=SEARCHED,
     general=OuterLoop(
-        steps=6000,
+        steps=5000,
         tasks=8,
         rates={"": 2e-3},
         warmup_steps=100,
@@ -36,7 +36,13 @@ RTI = replace(
     ),
     meta={
         "meta-encoder": replace(
-            LEARNED, steps=300, tasks=4, rates={"": 2e-5, "alpha.": 1e-2}, initial_adam=SEARCHED, guard=None
+            LEARNED,
+            steps=200,
+            tasks=2,
+            rates={"": 3e-5, "alpha.": 1e-2},
+            initial_adam=SEARCHED,
+            validate_every=20,
+            guard=None,
         )
     },
     rule="meta-encoder",
