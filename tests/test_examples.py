@@ -123,15 +123,6 @@ def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
     return folder / script
 
 
-def test_example_relight_maps_runs(tmp_path: Path, run_here: Callable[..., str]) -> None:
-    flat = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
-    maps = write_maps(tmp_path, **flat)
-    assert "4 pictures of 16 x 16 pixels" in run_here("relight_maps.py", maps, tmp_path / "lit.png")
-    lit = pixels(tmp_path / "lit.png")
-    assert lit.shape == (16, 64, 3)
-    assert 0.01 < lit.mean() < 1
-
-
 @pytest.mark.long
 @needs_mitsuba
 def test_example_mitsuba_brdf_runs(

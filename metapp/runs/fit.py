@@ -55,13 +55,14 @@ class HasReflectance(Protocol):
 
 @runtime_checkable
 class CanRelight(Protocol):
-    """An application of objects that were photographed under many lamps, which :class:`Fit` relights."""
+    """An application of materials and objects that :class:`Fit` relights."""
 
-    def relight(self, task: Task, directions: Tensor) -> Tensor:
-        """Return the object under lamps in other directions, linear RGB [K, 3, H, W] in [0, 1].
+    def relight(self, theta: Params, task: Task, directions: Tensor) -> Tensor:
+        """Return a fit under distant lamps, one at a time, linear RGB [K, 3, H, W] in [0, 1].
 
         Args:
-            task: the task, with its photographs.
+            theta: the parameters of the fit, without a task axis.
+            task: the task of the fit, with its photographs.
             directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
         """
 
@@ -203,7 +204,10 @@ class Fit:
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def relight(self, directions: object) -> np.ndarray:
-        """Return an object that was photographed under many lamps (RTI) as it looks under others.
+        """Return a fit of a non-stationary svBRDF under distant lamps, one at a time, from straight above.
+
+        Objects that were photographed under many lamps (RTI) are shown as these photographs predict them, with shadows
+        and reflections of one part on another; materials from other photographs as their maps show them.
 
         Args:
             directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera; an array or a tensor.
@@ -212,19 +216,18 @@ class Fit:
             Linear RGB pictures [K, H, W, 3] in [0, 1], float32, as large as the photographs that the fit saw.
 
         Raises:
-            ValueError: the fit saw no photographs under lamps, or its input is no longer there; the vectors have
+            ValueError: the fit is of another application, or its photographs are no longer there; the vectors have
                 another length or shape.
         """
         lamps, app = unit_vectors(self.name, directions, "directions"), self.app
         if not isinstance(app, CanRelight):
             raise ValueError(
-                f"{self.name}: a fit of {self.app.full_name} by the recipe {self.settings['recipe']}, expected one of "
-                "photos under lamps (RTI), by svbrdf_nonstationary; fit a folder with a .lp file."
+                f"{self.name}: a fit of {self.app.name}, expected one of svbrdf_nonstationary; take fit.picture()."
             )
         if not self.task.data:
             raise ValueError(f"{self.name}: no photos any more, expected those that were fitted; bring them back.")
-        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
-            pictures = app.relight(self.task, lamps.float())
+        with torch_defaults(single=self.app.small_tensors):
+            pictures = app.relight(self.parameters, self.task, lamps.float())
         return np.ascontiguousarray(pictures.permute(0, 2, 3, 1).numpy())
 
     def preview(self) -> dict[str, Tensor]:

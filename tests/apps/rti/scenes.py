@@ -7,7 +7,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.svbrdf_maps import Maps, pack_maps
-from metapp.apps.svbrdf_nonstationary.rti.lit_sight import render_lit
+from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.learning.task import Task
 
 

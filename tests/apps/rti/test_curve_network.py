@@ -5,9 +5,10 @@ import torch
 
 from metapp.appearance.flash import camera_distance, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
+from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import answer_of
 from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_weights, read_texels
-from metapp.apps.svbrdf_nonstationary.rti.lit_sight import SMOOTHING, LitSight, render_lit
+from metapp.apps.svbrdf_nonstationary.rti.lit_sight import SMOOTHING, LitSight
 from metapp.apps.svbrdf_nonstationary.rti.recipe import RTI
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task

@@ -10,10 +10,10 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import evaluate_brdf
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
+from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight
@@ -123,18 +123,6 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
         """Return what steps see, all photographs, which General reads, too."""
         count = len(task.data["lit"])
         return VisibleData(count, task.data["lit"][0].nbytes, count)
-
-
-def render_lit(maps: Maps, lamps: Tensor) -> Tensor:
-    """Return linear radiance [T, N, 3, P] of texels [T, C, P, 1] under distant lamps [T, N, 3], from straight above.
-
-    A white matt texel that faces the lamp has 1.
-    """
-    normal = maps.normal[:, None]
-    light = lamps[..., None, None].expand(-1, -1, -1, *normal.shape[-2:])
-    view = light.new_tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(light)
-    cosine = (light * normal).sum(2, keepdim=True).clamp_min(0)
-    return (math.pi * evaluate_brdf(Maps(*(part[:, None] for part in maps)), light, view) * cosine)[..., 0]
 
 
 def _unrelated_warnings(gain_db: float) -> list[str]:

@@ -46,13 +46,10 @@ class RtiApp(SvbrdfNonstationary):
         photos = _pool_photos(task.data["lit"], torch.Size((side, side)))
         return srgb_to_linear(mix_photos(process.leaving_one_out(lamps), photos).clamp(0, 1)), decode_photo(photos)
 
-    def relight(self, task: Task, directions: Tensor) -> Tensor:
-        """Return the object under lamps in other directions, linear RGB [K, 3, H, W] in [0, 1].
-
-        Args:
-            task: the task, with photographs under N lamps.
-            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
-        """
+    @override
+    @torch.no_grad()
+    def relight(self, theta: Params, task: Task, directions: Tensor) -> Tensor:
+        """Return the object as its photographs predict it: with shadows and reflections, which maps do not say."""
         photos, lamps = task.data["lit"], task.data["lamps"].float()
         weights = choose_process(photos, lamps).interpolation(directions, lamps)
         return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1))
