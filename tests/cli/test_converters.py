@@ -23,6 +23,7 @@ INPUTS: Mapping[str, tuple[Callable[[], list[made_files.Files]], tuple[str, ...]
     "flash": (lambda: made_files.image_files(".png uint8"), SMALL),
     "maps": (made_files.material_maps, SMALL),
     "materials": (made_files.material_maps, SMALL),
+    "domes": (made_files.material_maps, (*SMALL, "--lamps", "4")),
     "strips": (made_files.component_strips, SMALL),
     "laval": (lambda: made_files.image_files(".exr half"), ("--rows", "32")),
 }
@@ -45,7 +46,9 @@ def convert_and_check(metapp: Callable, *words: str | Path) -> None:
         assert len(fitted.json_result["tasks"]) == len(converted["test"])
 
 
-@pytest.mark.parametrize("name", [long(name) if name in ("merl", "nbrdf", "bsdf") else name for name in INPUTS])
+@pytest.mark.parametrize(
+    "name", [long(name) if name in ("merl", "nbrdf", "bsdf", "domes") else name for name in INPUTS]
+)
 def test_what_a_converter_writes_is_a_data_set(metapp: Callable, tmp_path: Path, name: str) -> None:
     make, options = INPUTS[name]
     for file, content in make()[0].items():

@@ -22,6 +22,8 @@ from metapp.learning.task import Params, Task, add_task_axis
 class RtiApp(SvbrdfNonstationary):
     """The application of photographs under many lamps."""
 
+    small_tensors = False  # all values of a texel under all lamps; and each number of lamps would be compiled anew
+
     @override
     @torch.no_grad()
     def decode(self, theta: Params, task: Task, photo: Tensor) -> TexelAnswer:
