@@ -85,7 +85,9 @@ def read_task(folder: Path, size: int = DEFAULT_PHOTO_PX, stops: float = 0.0, la
     photos = _read_photos(lights.photos, size, stops, layer)
     _leave_out_balls(text, photos, *first_shape)
     _warn_of_repeats(folder, photos)
-    small = adaptive_avg_pool2d(photos.float() / 255, min(COMPARED_PX, photos.shape[-1]))
+    # one at a time, since as floats all photographs would take four times their memory
+    side = min(COMPARED_PX, photos.shape[-1])
+    small = torch.stack([adaptive_avg_pool2d(photo.float() / 255, side) for photo in photos])
     lamps = _correct_axes(text, srgb_to_linear(small).mean(1), normalize(lights.directions, dim=1))
     return Task(folder.resolve().name, {"photo": _mean_photo(photos), "lit": photos, "lamps": lamps})
 

@@ -193,7 +193,9 @@ class Tasks:
         return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
 
     def gather(self, names: Sequence[str]) -> Batch:
-        """Return the tensors of some names of the tasks of this view, [T, ...]."""
+        """Return the tensors of some names of the tasks of this view, [T, ...]; of a single stacked task no copies."""
+        if len(self.names) == 1 and len(self) == 1:
+            return {name: self.data[name] for name in names}  # the photographs of one task may have gigabytes
         return {name: self.data[name][self.rows] for name in names}
 
     @functools.cached_property  # reading rows waits for a GPU
