@@ -28,6 +28,7 @@ from data_tools.readers.light_directions import LIGHT_DIRECTIONS_SUFFIX, find_li
 from data_tools.readers.square_photos import folders_with_lights, read_photo
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import srgb_to_linear
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.learning.task import Task
 
 COMPARED_PX = 128  # side of the photographs by which axes are compared
@@ -116,7 +117,7 @@ def _mean_photo(photos: Tensor) -> Tensor:
     """Return the mean of linear values of photographs, sRGB uint8 [N, 3, S, S], as one of them."""
     total = torch.zeros(photos.shape[1:])
     for photo in photos:
-        total += srgb_to_linear(photo.float() / 255)
+        total += decode_photo(photo)
     return encode_srgb(total / len(photos))
 
 
