@@ -49,7 +49,7 @@ from data_tools.readers.material_files import (
 )
 from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.opened_images import IMAGE_SUFFIXES
-from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
+from data_tools.readers.square_photos import central_square, reading_side_px, resample
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
 from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
@@ -298,7 +298,7 @@ def _read_map(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str
             values = values / 2 + 0.5
         values = complete_normals(values, file)
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR_SPACE))
-    linear = resample_square(square, size)
+    linear = resample(square, size, size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{file}: holds NaN, expected finite values; export the map again.")
     return torch.from_numpy(linear).permute(2, 0, 1).float()

@@ -25,13 +25,13 @@ from data_tools.readers.input_source import (
 )
 from data_tools.readers.light_axes import find_axes
 from data_tools.readers.light_directions import LIGHT_DIRECTIONS_SUFFIX, find_light_file, read_lights
-from data_tools.readers.square_photos import folders_with_lights, read_photo
+from data_tools.readers.square_photos import folders_with_lights, read_whole_photo
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.learning.task import Task
 
-COMPARED_PX = 128  # side of the photographs by which axes are compared
+COMPARED_PX = 128  # longer side of the photographs by which axes are compared
 
 
 def recognises(path: Path) -> bool:
@@ -60,12 +60,12 @@ def read_task(folder: Path, size: int = DEFAULT_PHOTO_PX, stops: float = 0.0, la
 
     Args:
         folder: the folder of photographs and the text.
-        size: the side of the photographs' middle square, in px; above 256 only for photographs that have as many.
+        size: the longer side of the photographs in px, to which larger ones are averaged.
         stops: the number of stops by which all photographs are too bright.
         layer: the layer of EXR files; see :func:`data_tools.readers.image_files.read_pixels`.
 
     Returns:
-        `photo`, the mean photograph, sRGB uint8 [3, S, S], `lit`, the photographs, [N, 3, S, S], and `lamps`, unit
+        `photo`, the mean photograph, sRGB uint8 [3, H, W], `lit`, the photographs, [N, 3, H, W], and `lamps`, unit
         vectors towards their lamps, [N, 3].
 
     Raises:
@@ -84,11 +84,12 @@ def read_task(folder: Path, size: int = DEFAULT_PHOTO_PX, stops: float = 0.0, la
                 f"{lights.photos[0].name}, by a camera that stands still; leave others out."
             )
     photos = _read_photos(lights.photos, size, stops, layer)
-    _leave_out_balls(text, photos, *first_shape)
+    _leave_out_balls(text, photos)
     _warn_of_repeats(folder, photos)
     # one at a time, since as floats all photographs would take four times their memory
-    side = min(COMPARED_PX, photos.shape[-1])
-    small = torch.stack([adaptive_avg_pool2d(photo.float() / 255, side) for photo in photos])
+    scale = min(1.0, COMPARED_PX / max(photos.shape[-2:]))
+    height, width = (max(2, round(side * scale)) for side in photos.shape[-2:])
+    small = torch.stack([adaptive_avg_pool2d(photo.float() / 255, (height, width)) for photo in photos])
     lamps = _correct_axes(text, srgb_to_linear(small).mean(1), normalize(lights.directions, dim=1))
     return Task(folder.resolve().name, {"photo": _mean_photo(photos), "lit": photos, "lamps": lamps})
 
@@ -102,10 +103,10 @@ def _require_light_file(folder: Path) -> Path:
 
 
 def _read_photos(paths: list[Path], size: int, stops: float, layer: str) -> Tensor:
-    """Read the middle squares of photographs into one tensor, uint8 [N, 3, S, S], which may have gigabytes."""
+    """Read photographs into one tensor, uint8 [N, 3, H, W], which may have gigabytes."""
     photos: Tensor | None = None
     for number, path in enumerate(paths):
-        photo = correct_exposure(read_photo(path, size, min(size, DEFAULT_PHOTO_PX), layer), stops)
+        photo = correct_exposure(read_whole_photo(path, size, layer), stops)
         if photos is None:
             photos = torch.empty(len(paths), *photo.shape, dtype=torch.uint8)
         photos[number] = photo
@@ -114,7 +115,7 @@ def _read_photos(paths: list[Path], size: int, stops: float, layer: str) -> Tens
 
 
 def _mean_photo(photos: Tensor) -> Tensor:
-    """Return the mean of linear values of photographs, sRGB uint8 [N, 3, S, S], as one of them."""
+    """Return the mean of linear values of photographs, sRGB uint8 [N, 3, H, W], as one of them."""
     total = torch.zeros(photos.shape[1:])
     for photo in photos:
         total += decode_photo(photo)
@@ -132,7 +133,7 @@ def _correct_axes(path: Path, photos: Tensor, directions: Tensor) -> Tensor:
 
     Args:
         path: the text of light directions.
-        photos: linear gray photographs [N, S, S].
+        photos: linear gray photographs [N, H, W].
         directions: unit vectors towards the lamps as the text states them, [N, 3].
     """
     found = find_axes(photos, directions)
@@ -145,23 +146,14 @@ def _correct_axes(path: Path, photos: Tensor, directions: Tensor) -> Tensor:
     return directions @ found.axes.T
 
 
-def _leave_out_balls(light_text: Path, photos: Tensor, height: int, width: int) -> None:
-    """Make photographs [N, 3, S, S] black where balls are, whose places stand beside the text of lights.
-
-    Args:
-        light_text: the text of light directions.
-        photos: the middle squares of the photographs.
-        height: the height of the whole photographs in px.
-        width: the width of the whole photographs in px.
-    """
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    is_ball = torch.from_numpy(mask_of_balls(light_text, height, width)[top : top + side, left : left + side])
-    shares = adaptive_avg_pool2d(is_ball.float()[None], photos.shape[-1])[0]
-    if bool((shares > 0).any()):
-        photos[:, :, shares > 0] = 0
+def _leave_out_balls(light_text: Path, photos: Tensor) -> None:
+    """Make photographs [N, 3, H, W] black where balls are, whose places stand beside the text of lights."""
+    height, width = photos.shape[-2:]
+    is_ball = torch.from_numpy(mask_of_balls(light_text, height, width))
+    if bool(is_ball.any()):
+        photos[:, :, is_ball] = 0
         warnings.warn(
-            f"{light_text.parent}: a ball covers {float(shares.mean()):.1%} of the middle square: left out, black in "
+            f"{light_text.parent}: a ball covers {float(is_ball.float().mean()):.1%} of the photos: left out, black in "
             "pictures.",
             stacklevel=3,
         )

@@ -201,6 +201,23 @@ def read_photo(path: str | Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, l
     return to_square_photo(read_pixels(Path(path), layer), str(path), size, least)
 
 
+def read_whole_photo(path: str | Path, longest: int, layer: str = "") -> Tensor:
+    """Read an image file whole, sRGB, uint8 [3, H, W].
+
+    Args:
+        path: the file.
+        longest: the longer side of the result at most, in px, to which larger pictures are averaged.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
+
+    Raises:
+        ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
+    """
+    pixels = read_pixels(Path(path), layer)
+    height, width = pixels.values.shape[:2]
+    scale = min(1.0, longest / max(height, width))
+    return _encode_photo(pixels, str(path), max(1, round(height * scale)), max(1, round(width * scale)))
+
+
 def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, least: int = 0) -> Tensor:
     """Return the central square of a picture in sRGB.
 
@@ -223,11 +240,17 @@ def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, leas
     """
     pixels = central_square(whole)
     side = reading_side_px(len(pixels.values), size, least)
+    return _encode_photo(pixels, name, side, side)
+
+
+def _encode_photo(pixels: Pixels, name: str, height: int, width: int) -> Tensor:
+    """Return a picture in sRGB at another size, uint8 [3, height, width]; see :func:`to_square_photo`."""
     is_plain = pixels.values.dtype == np.uint8 and pixels.values.shape[-1] == 3 and pixels.space == SRGB_SPACE
-    if is_plain and side == len(pixels.values) and _deviation(pixels.values) >= _MIN_DEVIATION * 255:
+    is_of_size = pixels.values.shape[:2] == (height, width)
+    if is_plain and is_of_size and _deviation(pixels.values) >= _MIN_DEVIATION * 255:
         # these values, which the rest would compute again, in seconds of 12 megapixels
         return torch.from_numpy(pixels.values.copy()).permute(2, 0, 1).contiguous()
-    linear = resample_square(pixels, side)
+    linear = resample(pixels, height, width)
     if not np.isfinite(linear).all():
         raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
@@ -350,28 +373,29 @@ def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
     return pixels._replace(values=pixels.values[top : top + side, left : left + side])
 
 
-def resample_square(pixels: Pixels, size: int) -> Floats:
-    """Resample a square picture in linear RGB.
+def resample(pixels: Pixels, height: int, width: int) -> Floats:
+    """Resample a picture in linear RGB.
 
-    Means are taken over exact areas; a smaller picture is interpolated.
+    Means are taken over exact areas; an axis along which the picture is smaller is interpolated.
 
     Args:
-        pixels: the square.
-        size: the side of the result, in px.
+        pixels: the picture.
+        height: the height of the result, in px.
+        width: the width of the result, in px.
 
     Returns:
-        Linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
+        Linear RGB [height, width, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
     """
-    side = pixels.values.shape[0]
-    columns = min(side, size)
+    own_height, own_width = pixels.values.shape[:2]
+    columns = min(own_width, width)
     rows = [
         _average_areas(pixels.linear(slice(row, row + _ROWS_AT_ONCE)).swapaxes(0, 1).copy(), columns).swapaxes(0, 1)
-        for row in range(0, side, _ROWS_AT_ONCE)
+        for row in range(0, own_height, _ROWS_AT_ONCE)
     ]
-    result = _average_areas(np.concatenate(rows), columns)
-    if side < size:
+    result = _average_areas(np.concatenate(rows), min(own_height, height))
+    if own_height < height or own_width < width:
         planes = torch.from_numpy(result).permute(2, 0, 1)[None]
-        result = functional.interpolate(planes, (size, size), mode="bilinear")[0].permute(1, 2, 0).numpy()
+        result = functional.interpolate(planes, (height, width), mode="bilinear")[0].permute(1, 2, 0).numpy()
     return result
 
 

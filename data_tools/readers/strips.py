@@ -25,7 +25,7 @@ from data_tools.readers.image_files import Pixels, read_pixels, shape_of
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX
 from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.opened_images import is_heif
-from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
+from data_tools.readers.square_photos import central_square, reading_side_px, resample
 from data_tools.readers.square_photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import decode_unit_normals, encode_srgb, make_svbrdf_task, task_name
@@ -225,7 +225,7 @@ def _resample_tile(tile: Floats, size: int, share: float = 1.0) -> Tensor:
         share: the share of the tile's side that the middle has.
     """
     middle = central_square(Pixels(tile, LINEAR_SPACE, False), share)
-    return torch.from_numpy(resample_square(middle, size)).permute(2, 0, 1).float()
+    return torch.from_numpy(resample(middle, size, size)).permute(2, 0, 1).float()
 
 
 def blended_materials(strip: Path) -> tuple[frozenset[str], frozenset[str]]:

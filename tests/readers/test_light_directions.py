@@ -41,7 +41,7 @@ def test_a_folder_is_one_task_in_the_order_of_the_text(folder: Path) -> None:
     paths, directions, notes = read_lights(folder / "coin.lp")
     assert ([path.name for path in paths], notes) == (["3 b.png", "1 b.png", "0 b.png", "2 b.png"], [])
     task = rti_photos.read_task(folder)
-    assert task.data["lit"].shape == (COUNT, 3, 256, 256)
+    assert task.data["lit"].shape == (COUNT, 3, 48, 64)
     torch.testing.assert_close(task.data["lamps"], directions)
     mean = srgb_to_linear(task.data["lit"].float() / 255).mean(0)
     torch.testing.assert_close(srgb_to_linear(task.data["photo"].float() / 255), mean, atol=0.01, rtol=0)

@@ -19,7 +19,7 @@ from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import photograph_by
 from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge
-from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps, scale_size
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, photographed_size
 from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialAnswer, MaterialDecoder
 from metapp.learning.app import ErrorMeasure
@@ -113,20 +113,20 @@ class SvbrdfNonstationary(ComposedApp):
         return answer
 
     @torch.no_grad()
-    def rerender_photos(self, theta: Params, task: Task, side: int) -> tuple[Tensor, Tensor] | None:
-        """Return what a fit says of each photograph of its task, and the photographs, linear [N, 3, side, side].
+    def rerender_photos(self, theta: Params, task: Task, shorter: int) -> tuple[Tensor, Tensor] | None:
+        """Return what a fit says of each photograph of its task, and the photographs, linear [N, 3, H, W].
 
         Here these are renderings of the maps under each flash, as the fit places it; None if fits see no photograph.
 
         Args:
             theta: the parameters of the fit, without a task axis.
             task: the task of the fit.
-            side: the side in px.
+            shorter: the shorter side of both in px.
         """
         photos = self.sight.photos(task)
         if photos is None:
             return None
-        photos = adaptive_avg_pool2d(decode_photo(photos), side)
+        photos = adaptive_avg_pool2d(decode_photo(photos), scale_size(photos, shorter))
         answer = self.decode(theta, task, photos[:1])
         maps = self.sight.fill(answer, photos[:1])
         return torch.stack([photograph_by(flash, maps) for flash in answer.flash_of_each_photo()]), photos

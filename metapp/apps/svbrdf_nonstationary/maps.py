@@ -68,6 +68,16 @@ def decode_photo(photo: Tensor) -> Tensor:
     return levels[photo.int()]
 
 
+def scale_size(picture: Tensor, shorter: int) -> tuple[int, int]:
+    """Return the height and width to which a picture [..., H, W] is scaled if its shorter side becomes `shorter` px.
+
+    >>> scale_size(torch.zeros(3, 480, 640), 240)
+    (240, 320)
+    """
+    height, width = picture.shape[-2:]
+    return round(height * shorter / min(height, width)), round(width * shorter / min(height, width))
+
+
 def pool_maps(maps: Tensor, size: Sequence[int]) -> Tensor:
     """Average packed maps [..., 10, H, W] over areas to another size (height, width), with normals of unit length."""
     normal, rest = adaptive_avg_pool2d(maps, (size[0], size[1])).split((3, 7), -3)

@@ -23,7 +23,7 @@ from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import Flash, photograph_by
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_log_radiance
-from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps, scale_size
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 
@@ -113,7 +113,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return what the fit says of each photograph, of at most SHOWN_PX a side."""
-        pair = self.app.rerender_photos(theta, task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+        pair = self.app.rerender_photos(theta, task, min(SHOWN_PX, *task.data["photo"].shape[-2:]))
         if pair is None:
             return None
         return PictureComparison(*(linear_to_srgb(pictures.clamp(0, 1)) for pictures in pair))
@@ -148,7 +148,8 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
     def _shown_maps(self, theta: Params, task: Task) -> Maps:
         """Return the maps [C, H, W] of the size of files, as fitted."""
-        side = self.size[0] if self.size else min(self.app.read_size or FINEST_PX, task.data["photo"].shape[-1])
+        shorter = min(task.data["photo"].shape[-2:])
+        side = self.size[0] if self.size else min(self.app.read_size or FINEST_PX, shorter)
 
         def make() -> Maps:
             photo = _resize_photo(task, side)
@@ -158,16 +159,22 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         return Maps(*(part[0] for part in maps))
 
 
-def _resize_photo(task: Task, side: int) -> Tensor:
-    """Return the photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
+def _resize_photo(task: Task, shorter: int) -> Tensor:
+    """Return the photograph, linear [1, 3, h, w]: means over areas; a smaller one is interpolated.
+
+    Args:
+        task: the task.
+        shorter: the shorter side of the result, in px.
+    """
     photo = decode_photo(task.data["photo"])[None]
-    enlarges = side > photo.shape[-1]
-    return interpolate(photo, size=(side, side), mode="bilinear") if enlarges else adaptive_avg_pool2d(photo, side)
+    size = scale_size(photo, shorter)
+    enlarges = size[0] > photo.shape[-2]
+    return interpolate(photo, size=size, mode="bilinear") if enlarges else adaptive_avg_pool2d(photo, size)
 
 
 def _small_photo(task: Task) -> Tensor:
-    """Return the photograph, linear [1, 3, h, w], of at most SHOWN_PX a side."""
-    return _resize_photo(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+    """Return the photograph, linear [1, 3, h, w], whose shorter side has at most SHOWN_PX."""
+    return _resize_photo(task, min(SHOWN_PX, *task.data["photo"].shape[-2:]))
 
 
 def _draw_linear_maps(maps: Maps) -> dict[str, Tensor]:

@@ -209,16 +209,18 @@ def test_other_faults_are_a_line(metapp: Callable, coin: Path, tmp_path: Path) -
     assert says(metapp("data", "lights", coin, "--out", "coin.lp").error, "no glossy ball", "--ball")
 
 
-@pytest.mark.parametrize(("place", "is_said"), [((50, 30, 10), True), ((8, 30, 8), False)])
-def test_a_ball_in_the_fitted_square_is_said(
+@pytest.mark.parametrize(("place", "is_said"), [((50, 30, 10), True), ((-20, 30, 8), False)])
+def test_a_ball_in_the_photographs_is_left_out(
     tmp_path: Path, recwarn: pytest.WarningsRecorder, place: tuple[float, ...], is_said: bool
 ) -> None:
     for number in range(3):
         write_image(tmp_path / f"{number}.png", noise_image(60, 100, seed=number))
     (tmp_path / "coin.lp").write_text("3\n" + "".join(f"{number}.png {number - 1} 0 1\n" for number in range(3)))
     write_ball_places(tmp_path / "coin.lp", [place], 60, 100)
-    read_task(tmp_path, 64)
+    photos = read_task(tmp_path, 64).data["lit"]
     assert any(says(str(warning.message), "ball covers", "left out") for warning in recwarn) == is_said
+    assert bool((photos[:, :, 18, 32] == 0).all()) == is_said
+    assert bool(photos[:, :, 2, 2].any())
 
 
 @pytest.mark.parametrize("text", ["", "100\n", "100 60\n5 5\n", "100 60\n5 5 nan\n", "100 60\na b c\n", "0 0\n1 1 1\n"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -12,10 +14,10 @@ from typing_extensions import override
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import decode_photo, normalise
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo, normalise, scale_size
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import TexelAnswer, answer_of
 from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, mix_photos
-from metapp.learning.task import Params, Task, add_task_axis
+from metapp.learning.task import Params, Task, TensorSpec, add_task_axis
 
 
 @dataclass(frozen=True)
@@ -23,13 +25,20 @@ class RtiApp(SvbrdfNonstationary):
     """The application of photographs under many lamps."""
 
     small_tensors = False  # all values of a texel under all lamps; and each number of lamps would be compiled anew
+    tensors: ClassVar = {
+        **SvbrdfNonstationary.tensors,
+        "photo": TensorSpec((3, "H", "W"), "uint8"),
+        "lit": TensorSpec(("L", 3, "H", "W"), "uint8"),
+        "lamps": TensorSpec(("L", 3), low=-1.001, high=1.001),
+        "maps": TensorSpec((10, "H", "W"), low=-1.001, high=1.001, optional=True),
+    }
 
     @override
     @torch.no_grad()
     def decode(self, theta: Params, task: Task, photo: Tensor) -> TexelAnswer:
         """Return maps at the size of `photo`, by photographs that are averaged to it, or else interpolated."""
         size = photo.shape[-2:]
-        if size[0] < task.data["lit"].shape[-1]:
+        if size[0] < task.data["lit"].shape[-2]:
             task = task._replace(
                 data=task.data | {name: _pool_photos(task.data[name], size) for name in ("lit", "photo")}
             )
@@ -41,11 +50,11 @@ class RtiApp(SvbrdfNonstationary):
 
     @override
     @torch.no_grad()
-    def rerender_photos(self, theta: Params, task: Task, side: int) -> tuple[Tensor, Tensor]:
-        """Return each photograph as all others predict it, and the photographs, linear [N, 3, side, side]."""
+    def rerender_photos(self, theta: Params, task: Task, shorter: int) -> tuple[Tensor, Tensor]:
+        """Return each photograph as all others predict it, and the photographs, linear [N, 3, H, W]."""
         lamps = task.data["lamps"].float()
         process = choose_process(task.data["lit"], lamps)
-        photos = _pool_photos(task.data["lit"], torch.Size((side, side)))
+        photos = _pool_photos(task.data["lit"], scale_size(task.data["lit"], shorter))
         return srgb_to_linear(mix_photos(process.leaving_one_out(lamps), photos).clamp(0, 1)), decode_photo(photos)
 
     @override
@@ -57,7 +66,7 @@ class RtiApp(SvbrdfNonstationary):
         return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1))
 
 
-def _pool_photos(photos: Tensor, size: torch.Size) -> Tensor:
+def _pool_photos(photos: Tensor, size: Sequence[int]) -> Tensor:
     """Average the linear values of photographs, sRGB uint8 [..., 3, H, W], over areas to another size."""
     pooled = [
         adaptive_avg_pool2d(decode_photo(photo), (size[0], size[1])) for photo in photos.reshape(-1, *photos.shape[-3:])
