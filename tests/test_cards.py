@@ -11,7 +11,6 @@ from tests.training_sets import (
     SetRow,
     cards,
     file_rows,
-    is_drawn_today,
     read_summary,
     set_rows,
     stated_data,
@@ -20,7 +19,6 @@ from tests.training_sets import (
 
 QUICK_SETS = ("metapp data synth texture", "metapp data synth svbrdf_nonstationary", "metapp data synth illumination")
 SETS = sorted({row for card in cards() for row in set_rows(card)})
-DRAWN_SETS = [row for row in SETS if is_drawn_today(row.command)]
 
 
 def test_each_checkpoint_is_in_one_card() -> None:
@@ -42,7 +40,7 @@ def test_a_card_states_data_commit_and_command_of_each_file(card: Path) -> None:
 
 @pytest.mark.parametrize(
     "row",
-    [row if row.command in QUICK_SETS else pytest.param(row, marks=pytest.mark.long) for row in DRAWN_SETS],
+    [row if row.command in QUICK_SETS else pytest.param(row, marks=pytest.mark.long) for row in SETS],
     ids=str,
 )
 def test_training_tasks_are_drawn_as_the_card_states(row: SetRow) -> None:
@@ -51,12 +49,6 @@ def test_training_tasks_are_drawn_as_the_card_states(row: SetRow) -> None:
     assert stated.keys() == drawn.keys()
     for name, numbers in stated.items():
         assert drawn[name] == pytest.approx(numbers, rel=2e-4), name
-
-
-def test_all_sets_but_those_of_sixteen_families_of_illumination_are_drawn_today() -> None:
-    """Its checkpoints are to be trained again, on the eight families that are left; then nothing is excepted."""
-    cards_of_older_sets = {card.parent.name for card in cards() if not set(set_rows(card)) <= set(DRAWN_SETS)}
-    assert cards_of_older_sets == {"illumination"}
 
 
 def test_other_draws_do_not_pass_for_the_stated_ones() -> None:

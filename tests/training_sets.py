@@ -6,8 +6,6 @@ A card has two tables. Each file has a row: the data that its header names, the 
 the command that makes it, and the sets of drawn tasks among its training tasks. Each set has a row: the command that
 draws it, and the mean and the standard deviation of each tensor over its first training tasks. These numbers change
 with any change of the draws, but hardly with the processor, with which a digest of the bytes would change.
-
-A command that ends in "at commit 0123abcd" is of sources that draw other tasks today: such files cannot be made again.
 """
 
 import itertools
@@ -63,11 +61,6 @@ def read_table(text: str, columns: list[str]) -> list[list[str]]:
         elif not cells:
             is_inside = False
     return rows
-
-
-def is_drawn_today(command: str) -> bool:
-    """Tell whether the command of a set draws the stated tasks by the sources of today."""
-    return " at commit " not in command
 
 
 def cards() -> list[Path]:
@@ -135,5 +128,4 @@ if __name__ == "__main__":
     for page in cards():
         print(page.relative_to(ROOT))
         for row in set_rows(page):
-            summary = summarise_draws(row.command) if is_drawn_today(row.command) else row.summary
-            print(f"| {row.name} | `{row.command}` | {summary} |")
+            print(f"| {row.name} | `{row.command}` | {summarise_draws(row.command)} |")

@@ -1,6 +1,6 @@
 """The default illumination set: procedural environments out of doors, indoors and in studios, each with sphere photos.
 
-Families take turns, so any count of 8 or more holds them all; every draw is another place. Training and test draws
+Families take turns, so any count of 16 or more holds them all; every draw is another place. Training and test draws
 come from other random streams.
 """
 
@@ -15,9 +15,19 @@ from torch import Tensor
 
 from data_tools.random_streams import Rng
 from data_tools.readers import environment_maps
-from data_tools.synthetic.environments.indoor import apartment, lobby, office, studio
+from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
 from data_tools.synthetic.environments.light import render_environment
-from data_tools.synthetic.environments.outdoor import dusk, forest, meadow, street
+from data_tools.synthetic.environments.outdoor import (
+    courtyard,
+    dull,
+    dusk,
+    forest,
+    meadow,
+    night,
+    shore,
+    square,
+    street,
+)
 from data_tools.synthetic.environments.patterns import vector
 from data_tools.synthetic.environments.scene_geometry import EnvironmentScene
 from data_tools.synthetic.random_values import Field, Split, between, chance
@@ -27,7 +37,7 @@ from metapp.learning.task import Task
 
 _STRONGEST_CAST = 1.2  # the largest ratio of red to blue in the mean of a map, or its inverse, as a power of 2
 
-VERSION = 2  # of the set's tasks; 1 had 16 families
+VERSION = 1  # of the set's tasks; 2 was drawn for a time with 8 of the families, so that the next is 3
 ROWS = environment_maps.MAP_HEIGHT_PX  # rows of a map
 UNITS = {**environment_maps.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
 COUNTS: dict[Split, int] = {"train": 900, "test": 16}
@@ -36,10 +46,18 @@ FAMILIES: dict[str, Callable[[Rng], EnvironmentScene]] = {
     "apartment": apartment,
     "street": street,
     "studio": studio,
+    "courtyard": courtyard,
     "office": office,
     "forest": forest,
+    "workshop": workshop,
+    "shore": shore,
+    "evening": evening,
+    "square": square,
+    "warehouse": warehouse,
     "dusk": dusk,
     "lobby": lobby,
+    "dull": dull,
+    "night": night,
 }
 
 

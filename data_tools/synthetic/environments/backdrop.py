@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from data_tools.random_streams import Rng
-from data_tools.synthetic.environments.patterns import hash_numbers, look_up_noise, vector
+from data_tools.synthetic.environments.patterns import BLACK, hash_numbers, look_up_noise, vector
 from data_tools.synthetic.environments.scene_geometry import Backdrop, Mask
 from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.random_values import Field, between, log_between, uniforms
@@ -45,7 +45,7 @@ def open_ground(sky: Sky, albedo: Field) -> Backdrop:
     return Backdrop(sky, radiance, lambda rays: (rays[1] >= 0).astype(np.float32))
 
 
-def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float) -> Backdrop:
+def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, window_radiance: Field = BLACK) -> Backdrop:
     """Draw open ground whose horizon is not level.
 
     Args:
@@ -54,6 +54,7 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float) -> Back
         ground: albedo [3] of the ground before it.
         kind: "hills", "woods", or "town".
         height: sine of the elevation that it reaches, about.
+        window_radiance: radiance [3] of the lit windows of a town.
     """
     level_ground, ambient, shift = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
     haze = np.float32(between(rng, 0.0, _HAZE[kind]))
@@ -80,24 +81,26 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float) -> Back
         result = (height_above > 0) & (leaves > 1.2 - height_above * np.float32(7 / height))
         return result
 
-    def town_lightness(angle: Field, up: Field) -> Field:
-        """Return how light houses are, [N]: their windows are dark."""
-        pane = (np.abs(up / storey % 1 - 0.5) < 0.3) & (np.abs(angle * _PANES % 1 - 0.5) < 0.3)
-        return hash_numbers(np.floor(angle * houses), shift + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
+    def town_look(angle: Field, up: Field) -> tuple[Field, Mask]:
+        """Return how light houses are, and which windows are lit, both [N]."""
+        row, column = np.floor(up / storey), np.floor(angle * _PANES)
+        pane = (np.abs(up / storey - row - 0.5) < 0.3) & (np.abs(angle * _PANES - column - 0.5) < 0.3)
+        lightness = hash_numbers(np.floor(angle * houses), shift + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
+        return lightness, pane & (hash_numbers(row * 1009 + column, shift) > 0.6)
 
     def radiance(rays: Field) -> Field:
         result = level_ground.radiance(rays)
         skyline_rays = np.flatnonzero((rays[1] >= 0) & is_hidden(rays))
         angle, up = azimuth_share(rays[:, skyline_rays]), rays[1, skyline_rays]
         if kind == "town":
-            lightness = town_lightness(angle, up)
+            lightness, lit_windows = town_look(angle, up)
         else:
             texture = look_up_noise("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
-            lightness = np.clip(0.5 + 0.35 * texture, 0, 1)
+            lightness, lit_windows = np.clip(0.5 + 0.35 * texture, 0, 1), np.zeros(up.shape, np.bool_)
         sun_facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, skyline_rays][[0, 2]]), 0) + np.float32(0.05)
         light = sky.sunlight[:, None] * sun_facing + np.float32(0.5) * ambient
         albedo = colours[0][:, None] + (colours[1] - colours[0])[:, None] * lightness
-        surface_radiance = albedo * light * np.float32(1 / math.pi)
+        surface_radiance = albedo * light * np.float32(1 / math.pi) + window_radiance[:, None] * lit_windows
         result[:, skyline_rays] = surface_radiance + (horizon_radiance - surface_radiance) * haze
         return result
 

@@ -1,4 +1,4 @@
-"""Rooms and their fittings: windows, lamps, doors, furniture.
+"""Rooms and their fittings: windows, lamps, beams, doors, furniture.
 
 Functions named `add_...` draw things and add them to a scene; boxes that the eye would be in are left out.
 """
@@ -32,25 +32,30 @@ def draw_near_white(rng: Rng, strength: float) -> Field:
     return 1 + (uniforms(rng, 3) - np.float32(0.5)) * np.float32(2 * strength)
 
 
-def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop) -> EnvironmentScene:
+def draw_room(
+    rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, is_hall: bool = False
+) -> EnvironmentScene:
     """Draw an empty room around the eye.
 
     Args:
         rng: random numbers for all choices.
         sizes: ranges of width, depth and height in m.
         backdrop: the view outside.
+        is_hall: whether it is a hall for work rather than a room to live in.
     """
     size = vector(log_between(rng, *sizes[0]), between(rng, *sizes[2]), log_between(rng, *sizes[1]))
     eye = vector(between(rng, 0.2, 0.8), 0, between(rng, 0.2, 0.8)) * size
     eye[1] = min(between(rng, 1.1, 1.8), float(size[1]) - 0.8)
     warm = vector(1.06, 1, 0.9) if chance(rng, 0.5) else vector(1, 1, 1)
-    wall = Finish(warm * draw_near_white(rng, 0.05) * np.float32(between(rng, 0.3, 0.78)))
-    if chance(rng, 0.2):
+    wall = Finish(
+        warm * draw_near_white(rng, 0.05) * np.float32(between(rng, 0.15, 0.55) if is_hall else between(rng, 0.3, 0.78))
+    )
+    if is_hall or chance(rng, 0.2):
         wall = _add_second_colour(rng, wall, ("cloud", "stripes", "tiles", "patches"), (1, 8))
-    ceiling = Finish(warm * np.float32(between(rng, 0.5, 0.85)))
+    ceiling = Finish(warm * np.float32(between(rng, 0.1, 0.5) if is_hall else between(rng, 0.5, 0.85)))
     if chance(rng, 0.3):
         ceiling = _add_second_colour(rng, ceiling, ("tiles", "stripes"), (0.6, 3))
-    sides = [wall, wall, _draw_floor(rng), ceiling, wall, wall]
+    sides = [wall, wall, _draw_floor(rng, is_hall), ceiling, wall, wall]
     if chance(rng, 0.35):
         sides[pick(rng, WALL_SIDES)] = Finish(
             draw_near_white(rng, pick(rng, (0.2, 0.4, 0.8))) * np.float32(between(rng, 0.15, 0.5))
@@ -64,9 +69,14 @@ def _add_second_colour(rng: Rng, finish: Finish, patterns: tuple[str, ...], size
     return finish._replace(second_colour=other, pattern=pick(rng, patterns), size=between(rng, *size))
 
 
-def _draw_floor(rng: Rng) -> Finish:
-    """Draw the finish of a floor: wood, tiles or carpet."""
+def _draw_floor(rng: Rng, is_hall: bool) -> Finish:
+    """Draw the finish of a floor: concrete for a hall, else wood, tiles or carpet."""
     gloss = pick(rng, (0.0, 0.0, 0.01, 0.02, 0.04))
+    if is_hall:
+        colour: Field = vector(0.3, 0.29, 0.27) * draw_near_white(rng, 0.06) * np.float32(log_between(rng, 0.4, 1.6))
+        if chance(rng, 0.3):
+            colour = vector(*pick(rng, ((0.06, 0.2, 0.08), (0.3, 0.1, 0.06), (0.1, 0.14, 0.25))))
+        return _add_second_colour(rng, Finish(colour, gloss=gloss), ("rough", "cloud", "tiles"), (2, 9))
     if chance(rng, 0.5):
         wood = vector(0.38, 0.23, 0.12) * draw_near_white(rng, 0.15) * np.float32(log_between(rng, 0.3, 1.4))
         return _add_second_colour(rng, Finish(wood, gloss=gloss), ("planks",), (1.5, 4))
@@ -182,6 +192,21 @@ def add_softbox(rng: Rng, scene: EnvironmentScene, kelvin: float) -> None:
     colour = black_body_rgb(kelvin) if chance(rng, 0.75) else np.clip(uniforms(rng, 3), 0.05, 1)
     radiance = colour * np.float32(log_between(rng, 1, 30) / (math.prod(halves) * scale**2))
     scene.lamps.append(Lamp(centre, -right, up, radiance, pick(rng, ("panel", "panel", "disc"))))
+
+
+def add_beams(rng: Rng, scene: EnvironmentScene) -> None:
+    """Add girders under the ceiling, and posts."""
+    finish = Finish(draw_near_white(rng, 0.2) * np.float32(log_between(rng, 0.05, 0.4)))
+    top, depth, middle = float(scene.high[1]), between(rng, 0.3, 0.9), float(scene.low[0] + scene.high[0]) / 2
+    first, last = float(scene.low[2]) + 1, float(scene.high[2]) - 1
+    for z in np.linspace(first, last, integer_between(rng, 2, 7)).tolist():
+        low, high = vector(scene.low[0], top - depth, z - 0.12), vector(scene.high[0], top, z + 0.12)
+        scene.boxes.append(Box(low, high, finish))
+    for z in np.linspace(first, last, integer_between(rng, 0, 4)).tolist():
+        scene.add_box(
+            EYE_CLEARANCE_M,
+            Box(vector(middle - 0.2, scene.low[1], z - 0.2), vector(middle + 0.2, top, z + 0.2), finish),
+        )
 
 
 def add_doors(rng: Rng, scene: EnvironmentScene, count: int) -> None:

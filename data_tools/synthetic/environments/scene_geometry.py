@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from data_tools.readers.environment_maps import MAP_HEIGHT_PX, MAP_WIDTH_PX
-from data_tools.synthetic.environments.patterns import look_up_noise, vector
+from data_tools.synthetic.environments.patterns import BLACK, look_up_noise, vector
 from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.random_values import Field, Ids
 from metapp.appearance.latlong import solid_angles, texel_directions
@@ -42,6 +42,7 @@ class Finish(NamedTuple):
         gloss: share of light from straight ahead that is mirrored.
         window_spacing_m: height and width of the fields in which each facade window sits; None for no windows.
         window_share: share of a field's height and width that its window takes.
+        window_radiance: radiance [3] of the windows that are lit, three of ten; black by day.
     """
 
     colour: Field
@@ -51,6 +52,7 @@ class Finish(NamedTuple):
     gloss: float = 0.0
     window_spacing_m: tuple[float, float] | None = None
     window_share: tuple[float, float] = (0.6, 0.6)
+    window_radiance: Field = BLACK
 
 
 class Box(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
-from data_tools.synthetic.environments.patterns import direction, vector
+from data_tools.synthetic.environments.patterns import BLACK, direction, vector
 from data_tools.synthetic.environments.scene_geometry import Box, Crown, EnvironmentScene, Finish
 from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
@@ -42,7 +42,12 @@ PAVED_GROUNDS = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 
 
 def draw_open_scene(
-    rng: Rng, sky: Sky, grounds: tuple[str, ...], skylines: tuple[str, ...], height: Range
+    rng: Rng,
+    sky: Sky,
+    grounds: tuple[str, ...],
+    skylines: tuple[str, ...],
+    height: Range,
+    window_radiance: Field = BLACK,
 ) -> EnvironmentScene:
     """Draw level ground to the horizon, and the distance behind it.
 
@@ -52,6 +57,7 @@ def draw_open_scene(
         grounds: kinds of ground to choose from.
         skylines: things at the horizon to choose from: "hills", "woods", "town", "none".
         height: range of the sine of the elevation that the things at the horizon reach.
+        window_radiance: radiance [3] of the lit windows of a town at the horizon.
     """
     kind, level = pick(rng, grounds), 0.7 * float(rng.random()) ** 1.5
     first, second = (_mix_colours(_GROUNDS[kind], share) for share in (level, level + 0.3))
@@ -60,7 +66,7 @@ def draw_open_scene(
     skyline_kind, mean = pick(rng, skylines), (first + second) / 2
     backdrop = open_ground(sky, mean)
     if skyline_kind != "none":
-        backdrop = skyline(rng, sky, mean, skyline_kind, log_between(rng, *height))
+        backdrop = skyline(rng, sky, mean, skyline_kind, log_between(rng, *height), window_radiance)
     low = vector(-np.inf, -between(rng, 1.2, 2.2), -np.inf)
     return EnvironmentScene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, kept_light_share=0.3)
 
@@ -78,16 +84,18 @@ def _draw_wall_finish(rng: Rng) -> Finish:
     return Finish(colour, colour * np.float32(between(rng, 0.5, 0.9)), pattern, between(rng, 3, 12))
 
 
-def _draw_facade_finish(rng: Rng) -> Finish:
-    """Draw the finish of a wall with rows of windows."""
+def _draw_facade_finish(rng: Rng, window_radiance: Field) -> Finish:
+    """Draw the finish of a wall with rows of windows, of which the lit ones have the radiance [3]."""
     glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
     return _draw_wall_finish(rng)._replace(
-        window_spacing_m=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), window_share=glazed
+        window_spacing_m=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)),
+        window_share=glazed,
+        window_radiance=window_radiance,
     )
 
 
-def add_street_houses(rng: Rng, scene: EnvironmentScene) -> None:
-    """Add houses on both sides of a street along the z axis."""
+def add_street_houses(rng: Rng, scene: EnvironmentScene, window_radiance: Field = BLACK) -> None:
+    """Add houses on both sides of a street along the z axis; their lit windows have the radiance [3]."""
     bottom, height = float(scene.low[1]), log_between(rng, 5, 24)
     for sign in (-1, 1):
         front, start, gaps = between(rng, 3.5, 13), between(rng, -75, -60), chance(rng, 0.5)
@@ -96,22 +104,86 @@ def add_street_houses(rng: Rng, scene: EnvironmentScene) -> None:
         x = sorted((sign * front, sign * (front + 14)))
         while start < 60:
             end, top = start + between(rng, 9, 30), bottom + height * between(rng, 0.6, 1.4)
-            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), _draw_facade_finish(rng)))
+            scene.boxes.append(
+                Box(vector(x[0], bottom, start), vector(x[1], top, end), _draw_facade_finish(rng, window_radiance))
+            )
             start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
         if chance(rng, 0.4):
             for number in range(-2, 3):
                 _add_tree(rng, scene, sign * (front - 2), number * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
-    _add_vehicles(rng, scene, integer_between(rng, 0, 6))
+    add_vehicles(rng, scene, integer_between(rng, 0, 6), (2.5, 20), along_street=True)
     scene.kept_light_share = 0.7
 
 
-def _add_vehicles(rng: Rng, scene: EnvironmentScene, count: int) -> None:
-    """Add boxes as large as cars and bins along both sides of a street."""
+def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, distance: float, window_radiance: Field = BLACK) -> None:
+    """Add houses all around, about `distance` metres from the eye; their lit windows have the radiance [3]."""
+    bottom, count, height = float(scene.low[1]), integer_between(rng, 4, 10), distance * between(rng, 0.3, 1.0)
+    for number in range(count):
+        angle = (number + between(rng, -0.3, 0.3)) * math.tau / count
+        centre = direction(0, angle) * np.float32(distance * between(rng, 1, 1.6))
+        half = vector(*(distance * between(rng, 0.12, 0.35) for _ in range(3)))
+        low, high = centre - half, centre + half
+        low[1], high[1] = bottom, bottom + height * between(rng, 0.4, 1.4)
+        scene.add_box(EYE_CLEARANCE_M, Box(low, high, _draw_facade_finish(rng, window_radiance)))
+    add_trees(rng, scene, integer_between(rng, 0, 6), (6, distance))
+    add_garden_walls(rng, scene, integer_between(rng, 0, 2))
+    add_bushes(rng, scene, integer_between(rng, 0, 3), (4, distance))
+    add_vehicles(rng, scene, integer_between(rng, 0, 6), (4, distance))
+
+
+def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
+    """Add houses or walls close by, on up to four sides."""
+    plain, height, bottom = _draw_wall_finish(rng), between(rng, 2.5, 9), float(scene.low[1])
+    for axis, sign in ((0, -1), (0, 1), (2, -1), (2, 1)):
+        if chance(rng, 0.15):
+            continue
+        distance, length = between(rng, 3, 11), between(rng, 6, 16)
+        finish = plain._replace(window_spacing_m=(3.0, between(rng, 2, 4))) if chance(rng, 0.6) else plain
+        low = vector(-length, bottom, -length)
+        high = vector(length, bottom + height * between(rng, 0.6, 1.2), length)
+        low[axis], high[axis] = sorted((sign * distance, sign * (distance + 5)))
+        scene.boxes.append(Box(low, high, finish))
+    scene.kept_light_share = 0.8
+
+
+def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
+    """Add a roof or a bridge over the eye, on posts, sometimes with a wall."""
+    underside, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), _draw_wall_finish(rng)
+    reach = 20.0 if chance(rng, 0.3) else 7.0
+    x, z = (sorted(log_between(rng, 1.2, reach) * sign for sign in (-1, 1)) for _ in range(2))
+    scene.boxes.append(Box(vector(x[0], underside, z[0]), vector(x[1], underside + 0.3, z[1]), finish))
+    for post_z in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
+        for edge in x if chance(rng, 0.5) else x[:1]:
+            low, high = vector(edge - 0.15, bottom, post_z - 0.15), vector(edge + 0.15, underside, post_z + 0.15)
+            scene.add_box(EYE_CLEARANCE_M, Box(low, high, finish))
+    if chance(rng, 0.5):
+        scene.add_box(
+            EYE_CLEARANCE_M,
+            Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, underside, z[1]), _draw_wall_finish(rng)),
+        )
+
+
+def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, distance: Range, along_street: bool = False) -> None:
+    """Add boxes as large as cars and bins.
+
+    Args:
+        rng: random numbers for their places, sizes and colours.
+        scene: the scene; boxes are added to it.
+        count: how many.
+        distance: range of their distance from the eye in m; along a street, their distance from its middle, and the
+            farthest along it.
+        along_street: whether they stand along both sides of a street along the z axis, or anywhere.
+    """
     for _ in range(count):
         bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
         colour = np.clip(bright * np.float32(log_between(rng, 0.03, 0.5)), 0.02, 0.8)
         half = vector(0.9, between(rng, 0.5, 1), between(rng, 0.6, 2.2))
-        centre = vector(pick(rng, (-1, 1)) * 2.5, scene.low[1] + half[1], between(rng, -20, 20))
+        centre = direction(0, between(rng, 0, math.tau)) * np.float32(between(rng, *distance))
+        if along_street:  # the centre above is drawn in any case: without it, later draws of the set would be others
+            centre = vector(pick(rng, (-1, 1)) * distance[0], 0, between(rng, -distance[1], distance[1]))
+        elif chance(rng, 0.5):
+            half = half[[2, 1, 0]]
+        centre[1] = scene.low[1] + half[1]
         scene.add_box(EYE_CLEARANCE_M, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
 
 

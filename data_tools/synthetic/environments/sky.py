@@ -1,4 +1,4 @@
-"""Skies and their suns: clear daylight, broken clouds, overcast.
+"""Skies and their suns: clear daylight, broken clouds, overcast, night.
 
 Directions are [3, N], unit length, +y up. Radiance is linear Rec.709 with a luminance in kcd/m^2, irradiance in klx.
 """
@@ -212,6 +212,18 @@ def overcast_sky(rng: Rng) -> Sky:
         return result
 
     return Sky(sun, BLACK, radiance)
+
+
+def night_sky(rng: Rng) -> Sky:
+    """Draw the sky over a town at night, brighter at the horizon."""
+    town = black_body_rgb(log_between(rng, 2000, 5000))[:, None] * np.float32(log_between(rng, 1e-4, 4e-3))
+    zenith = black_body_rgb(log_between(rng, 7000, 16000))[:, None] * np.float32(log_between(rng, 5e-5, 2e-3))
+
+    def radiance(rays: Field) -> Field:
+        result: Field = zenith + town * np.exp(np.float32(-5) * np.maximum(rays[1], 0))
+        return result
+
+    return Sky(vector(0, -1, 0), BLACK, radiance)
 
 
 def black_sky() -> Sky:

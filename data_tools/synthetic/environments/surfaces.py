@@ -28,8 +28,8 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
     """Return what hits of surfaces reflect and send.
 
     Returns:
-        Albedo [3, N], the share [N] that is mirrored straight ahead, and radiance of lamps [3, N]; all 0 where no
-            surface is hit.
+        Albedo [3, N], the share [N] that is mirrored straight ahead, and radiance of lamps and lit windows [3, N]; all
+            0 where no surface is hit.
     """
     albedo, gloss, glow = np.zeros_like(rays), np.zeros(rays.shape[1], np.float32), np.zeros_like(rays)
     finishes = [*scene.sides, *(box.finish for box in scene.boxes)]
@@ -41,8 +41,9 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
             continue
         if crown < 0:
             finish = finishes[number]
-            albedo[:, members], panes = _finish_properties(finish, hits, rays, members)
+            albedo[:, members], panes, lit_panes = _finish_properties(finish, hits, rays, members)
             gloss[members] = np.where(panes, _PANE_GLOSS, np.float32(finish.gloss))
+            glow[:, members] = finish.window_radiance[:, None] * lit_panes
         elif lamp < 0:
             turn = np.arctan2(rays[2, members], rays[0, members]) * np.float32(2 / math.pi)
             leaves = look_up_noise("rough", turn + scene.crowns[crown].radius, 2 * rays[1, members])
@@ -52,8 +53,8 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
     return np.clip(albedo, 0, 0.9), gloss, glow
 
 
-def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Field, Mask]:
-    """Return the albedo [3, M] at hits of one surface, and which of them are windows, [M]."""
+def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Field, Mask, Mask]:
+    """Return the albedo [3, M] at hits of one surface, which of them are windows, and which are lit, both [M]."""
     positions, normal = hits.place[:, members], hits.normal[:, members]
     axis, columns = np.abs(normal).argmax(0), np.arange(len(members))
     across, along = (positions[np.array(PLANE_AXES)[axis, direction], columns] for direction in (0, 1))
@@ -64,7 +65,8 @@ def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) ->
         weight = 0.5 + (_pattern_weight(finish, across, along) - 0.5) / (1 + footprint**2)  # finer patterns fade
         albedo += (finish.second_colour - finish.colour)[:, None] * weight
     if finish.window_spacing_m is None:
-        return albedo, np.zeros(len(members), np.bool_)
+        no_windows = np.zeros(len(members), np.bool_)
+        return albedo, no_windows, no_windows
     row, column = along / np.float32(finish.window_spacing_m[0]), across / np.float32(finish.window_spacing_m[1])
     pane_offset = np.maximum(
         *(
@@ -73,7 +75,8 @@ def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) ->
         )
     )
     panes = (pane_offset < 1) & (axis != 1)
-    return np.where(panes, _PANE_ALBEDO, albedo), panes
+    lit_panes = panes & (hash_numbers(np.floor(row) * 1009 + np.floor(column), 0.5) < 0.3)
+    return np.where(panes, _PANE_ALBEDO, albedo), panes, lit_panes
 
 
 def _pattern_weight(finish: Finish, across: Field, along: Field) -> Field:
