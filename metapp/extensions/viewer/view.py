@@ -34,6 +34,7 @@ class View(NamedTuple):
         arrays: numbers of float16, float32 or uint8, by name.
         pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth channel is
             coverage.
+        lossy: names of pictures of three channels that are kept as JPEG, as PNG would take too much room.
         facts: values that JSON can hold, by name.
         shared: arrays by name that are equal for all fits of a page, which keeps each of them once.
         thumbnail: small display values [h, w, 3] for the list of fits; None for no picture.
@@ -47,6 +48,7 @@ class View(NamedTuple):
     facts: Mapping[str, object] = NO_ENTRIES
     shared: Mapping[str, Tensor] = NO_ENTRIES
     thumbnail: Tensor | None = None
+    lossy: tuple[str, ...] = ()
     label: str = ""
     caption: str = ""
 
@@ -91,6 +93,18 @@ def crop_thumbnail(pixels: Tensor) -> Tensor:
     square = pixels[top : top + side, left : left + side, :3].permute(2, 0, 1).float().clamp(0, 1)
     small = adaptive_avg_pool2d(square, min(side, MAX_THUMBNAIL_PX))
     return small.expand(3, -1, -1).permute(1, 2, 0)
+
+
+def channels_last(pixels: Tensor) -> Tensor:
+    """Return a picture [C, H, W] as [H, W, C]."""
+    return pixels.permute(1, 2, 0)
+
+
+def size_within(largest: int, values: Tensor) -> tuple[int, int]:
+    """Return height and width of values [..., H, W], reduced in proportion to at most `largest` a side."""
+    height, width = values.shape[-2:]
+    share = min(1.0, largest / max(height, width))
+    return max(1, round(share * height)), max(1, round(share * width))
 
 
 def reference_light_map() -> Tensor:

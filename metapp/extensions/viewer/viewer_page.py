@@ -21,10 +21,11 @@ from torch import Tensor
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
-from metapp.storage.image_writers import png_data_url, to_8_bit_image
+from metapp.storage.image_writers import jpeg_data_url, png_data_url, to_8_bit_image
 
 VIEWER_KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
-_SHARED_SCRIPTS = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
+_DRAWING_SCRIPTS = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "framing", "stage")
+_SHARED_SCRIPTS = (*_DRAWING_SCRIPTS, "raster", "polar", "relit")
 PAGE_SCRIPTS = (*_SHARED_SCRIPTS, *VIEWER_KINDS, "listing", "main")  # in the order in which a page runs them
 ARRAY_TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}  # as scripts name them
 
@@ -73,8 +74,10 @@ def page_document(title: str, groups: Sequence[FitGroup]) -> Document:
         for view in group.views:
             shared |= {name: encode_array(values) for name, values in view.shared.items() if name not in shared}
             arrays = {name: encode_array(values) for name, values in view.arrays.items()}
-            pictures = {name: display_png_url(pixels) for name, pixels in view.pictures.items()}
-            thumbnail = "" if view.thumbnail is None else display_png_url(view.thumbnail)
+            pictures = {
+                name: encode_picture(pixels, lossy=name in view.lossy) for name, pixels in view.pictures.items()
+            }
+            thumbnail = "" if view.thumbnail is None else encode_picture(view.thumbnail)
             fits.append({"label": view.label, "caption": view.caption, "facts": dict(view.facts), "arrays": arrays,
                          "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
         kind = group.views[0].kind
@@ -88,9 +91,10 @@ def encode_array(values: Tensor) -> Document:
     return {"type": ARRAY_TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
 
 
-def display_png_url(pixels: Tensor) -> str:
-    """Return display values [H, W, 1, 3 or 4] in [0, 1] as a PNG of 8 bits, in a URL that holds its data."""
-    return png_data_url(to_8_bit_image(pixels.detach().cpu().numpy()))
+def encode_picture(pixels: Tensor, *, lossy: bool = False) -> str:
+    """Return display values [H, W, 1, 3 or 4] in [0, 1] in a URL that holds a PNG of 8 bits, or a JPEG if lossy."""
+    image = to_8_bit_image(pixels.detach().cpu().numpy())
+    return jpeg_data_url(image) if lossy else png_data_url(image)
 
 
 def viewer_html(data: Document) -> str:

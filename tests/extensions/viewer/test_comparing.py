@@ -20,8 +20,8 @@ from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail
 from metapp.extensions.viewer.viewer_page import (
     VIEWER_KINDS,
     FitGroup,
-    display_png_url,
     encode_array,
+    encode_picture,
     page_document,
     viewer_html,
     write_page,
@@ -37,7 +37,7 @@ def surface(*, photo: bool = False) -> View:
     """A rock, whose reference is itself, so that fit and reference are the same picture."""
     fit = rock_surface(32, tiles=False)
     above = torch.tensor([0.0, 0.0, 3.0])
-    lit = [LitPicture(above, above, photo=torch.rand(3, 32, 32))] if photo else []
+    lit = {"photo_1": LitPicture(above, above, photo=torch.rand(3, 32, 32))} if photo else {}
     return make_surface_view(Surface(fit.colour, False, fit.maps), lit, reference=fit.maps)
 
 
@@ -297,7 +297,7 @@ def test_arrays_survive_encoding_in_the_page(dtype: torch.dtype) -> None:
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_pictures_survive_encoding_within_half_a_level(channels: int) -> None:
     pixels = torch.rand(6, 7, channels)
-    address = display_png_url(pixels)
+    address = encode_picture(pixels)
     image = Image.open(io.BytesIO(base64.b64decode(address.partition("base64,")[2])))
     read = np.asarray(image, dtype=np.float64).reshape(6, 7, channels) / 255
     assert np.abs(read - pixels.numpy()).max() <= 0.5 / 255 + 1e-6

@@ -140,17 +140,17 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
     normal = normalize(torch.stack([-slopes[1], slopes[0], torch.ones(64, 64)]), dim=0)
     ones = torch.ones(1, 64, 64)
     maps = Maps(ones.expand(3, -1, -1), ones, ones, normal)
-    view = make_surface_view(Surface(maps.diffuse, False, maps), [])
+    view = make_surface_view(Surface(maps.diffuse, False, maps), {})
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"][..., 0])
     torch.testing.assert_close(heights[8:-8, 8:-8], (wave / 2)[8:-8, 8:-8], atol=1e-3, rtol=0)
-    known = make_surface_view(Surface(maps.diffuse, False, maps, ones * torch.linspace(0, 6.4, 64)), [])
+    known = make_surface_view(Surface(maps.diffuse, False, maps, ones * torch.linspace(0, 6.4, 64)), {})
     assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
 
 
 def test_large_maps_are_reduced() -> None:
     """Texels are averaged; heights in widths of the texture stay the same."""
     large = rock_surface(128)
-    view = make_surface_view(large, [], largest=64)
+    view = make_surface_view(large, {}, largest=64)
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
     assert large.maps is not None
     maps = maps_in(view)
@@ -162,7 +162,7 @@ def test_large_maps_are_reduced() -> None:
     assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
     assert view.pictures["fit_specular"].shape[-1] == 3
     gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))
-    assert make_surface_view(gray, []).pictures["fit_specular"].shape[-1] == 1
+    assert make_surface_view(gray, {}).pictures["fit_specular"].shape[-1] == 1
 
 
 @pytest.mark.long
@@ -174,7 +174,9 @@ def test_screen_shows_fit_and_reference_of_the_rock_surface(open_page: Callable)
     light, eye = torch.tensor([0.3, -0.2, 2.0]), torch.tensor([-0.1, 0.4, 2.2])
     photo = torch.rand(3, 64, 64, generator=seeded())
     truth = truth._replace(roughness=0.5 * truth.roughness)
-    page = open_page(make_surface_view(fit, [LitPicture(light, eye, 0.7, photo, 0.5)], falloff=2, reference=truth))
+    page = open_page(
+        make_surface_view(fit, {"photo_1": LitPicture(light, eye, 0.7, photo, 0.5)}, falloff=2, reference=truth)
+    )
     page.resize(64, 64)
     page.set(view="picture", pictured="photo_1", show="reference")
     page.settle()
@@ -199,7 +201,7 @@ def test_screen_shows_fit_and_reference_of_the_rock_surface(open_page: Callable)
 @pytest.mark.long
 @pytest.mark.parametrize("tiles", [True, False])
 def test_copies_tile_or_are_mirrored(tiles: bool, open_page: Callable) -> None:
-    page = open_page(make_surface_view(rock_surface(64, tiles=tiles), []))
+    page = open_page(make_surface_view(rock_surface(64, tiles=tiles), {}))
     page.resize(134, 134)  # where the plane is 100 px wide
     page.set(map="normal", repeats=2, relief=0)
     page.settle()
@@ -221,7 +223,7 @@ def test_a_light_map_lights_tilted_normals(open_page: Callable) -> None:
     ones = torch.ones(1, 8, 8)
     normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * ones
     maps = Maps(0.4 * ones.expand(3, -1, -1), 0.3 * ones, 0.3 * ones, normal)
-    view = make_surface_view(Surface(maps.diffuse, True, maps, ones), [])
+    view = make_surface_view(Surface(maps.diffuse, True, maps, ones), {})
     white = view._replace(shared={"light": torch.ones(8, 16, 3).half()})
     page = open_page(white)
     page.resize(48, 48)
@@ -251,7 +253,7 @@ def test_a_fitted_light_of_the_page_lights_materials(open_page: Callable) -> Non
     ones = torch.ones(1, 8, 8)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(0.4 * ones.expand(3, -1, -1), 0.04 * ones, 0.6 * ones, up)
-    material = make_surface_view(Surface(maps.diffuse, True, maps, ones), [])
+    material = make_surface_view(Surface(maps.diffuse, True, maps, ones), {})
     material = material._replace(shared={"light": torch.ones(8, 16, 3).half()})
     red = torch.tensor([1.0, 0.0, 0.0]).expand(8, 16, 3).half()
     light = View("light", {"map": red}, facts={"scale": 1.0, "note": ""})
@@ -279,7 +281,7 @@ def test_raised_parts_cast_shadows(open_page: Callable) -> None:
     height[..., 118:138] = 0.1 * 256  # texels
     flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(0.5 * ones.expand(3, -1, -1), 0.02 * ones, 0.9 * ones, flat)
-    page = open_page(make_surface_view(Surface(maps.diffuse, True, maps, height), []))
+    page = open_page(make_surface_view(Surface(maps.diffuse, True, maps, height), {}))
     page.resize(268, 268)  # where the plane is 200 px wide
     far = "{ light: 'lamp', lamp: new THREE.Vector3(-1e3, 0, 1e3), power: Math.PI * 2e6 }"
     page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")

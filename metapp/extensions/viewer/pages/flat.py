@@ -6,7 +6,7 @@ a `Surface` or pictures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,16 +15,25 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, stretch_to_unit_range
-from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
+from metapp.appearance.flash import camera_distance, relighting_positions, render_maps, texel_positions
 from metapp.appearance.quilting import choose_block_size, quilt_pixel_numbers
 from metapp.appearance.surface import Surface
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
+from metapp.apps.svbrdf_nonstationary.rti.rti_app import RtiApp
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
 from metapp.apps.texture.presenter import TexturePresenter
-from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail, reference_light_map
+from metapp.extensions.viewer.pages.relit import add_relit_photos
+from metapp.extensions.viewer.view import (
+    MAX_THUMBNAIL_PX,
+    View,
+    channels_last,
+    crop_thumbnail,
+    reference_light_map,
+    size_within,
+)
 from metapp.learning.task import Params, Task
 from metapp.networks.quilted import fetch_pieces
 
@@ -33,6 +42,7 @@ MAX_QUILTED_SIDE_PX = 256  # of exemplars in which pieces are chosen
 MAX_TEXTURE_SIDE_PX = 1024  # of textures on a page
 MAX_SURFACE_SIDE_TEXELS = 1024  # of maps on a page
 MAX_PHOTO_SIDE_PX = 512  # of photographs on a page
+DISTANT = 1000.0  # distance of lamp and camera that are as good as infinitely far, in halves of the side of maps
 
 
 class LitPicture(NamedTuple):
@@ -57,19 +67,26 @@ class LitPicture(NamedTuple):
 def make_svbrdf_nonstationary_view(presenter: SvbrdfNonstationaryPresenter, theta: Params, task: Task) -> View:
     """Make the view of non-stationary maps: the fit, its photographs, and the true maps if the task has them.
 
+    Photographs under many lamps are relit by a lamp that is dragged; others stand beside the fit under their flashes.
+
     Args:
         presenter: the presenter of the application.
         theta: the parameters of the fit, without a task axis.
         task: the task that was fitted, with its photographs.
     """
+    reference = unpack_maps(task.data["maps"].float()) if "maps" in task.data else None
+    if isinstance(presenter.app, RtiApp):
+        above = torch.tensor([0.0, 0.0, DISTANT])
+        lamp = LitPicture(above, above, (DISTANT / camera_distance()) ** 2)
+        view = make_surface_view(presenter.surface(theta, task), {"relit": lamp}, reference=reference)
+        return add_relit_photos(view, task.data["lit"], task.data["lamps"].float())
     flashes, photos = presenter.flashes(theta, task), presenter.app.sight.photos(task)
     # fits of maps see no photograph: theirs was rendered from the maps
     linear_photos = [None] * len(flashes) if photos is None else [decode_photo(photo) for photo in photos]
-    lit_pictures = [
-        LitPicture(flash.place, flash.eye, float(flash.gain), photo)
-        for flash, photo in zip(flashes, linear_photos, strict=True)
-    ]
-    reference = unpack_maps(task.data["maps"].float()) if "maps" in task.data else None
+    lit_pictures = {
+        f"photo_{number}": LitPicture(flash.place, flash.eye, float(flash.gain), photo)
+        for number, (flash, photo) in enumerate(zip(flashes, linear_photos, strict=True), 1)
+    }
     return make_surface_view(presenter.surface(theta, task), lit_pictures, reference=reference)
 
 
@@ -82,12 +99,12 @@ def make_svbrdf_stationary_view(presenter: SvbrdfStationaryPresenter, theta: Par
         task: the task that was fitted, without data if they are not at hand.
     """
     app = presenter.app
-    lit_pictures = []
+    lit_pictures = {}
     if "image" in task.data:
         photo = app.octaves.take_exemplar(task.data["image"][None].float() / 255)
         light_position, share = app.statistics.find_light(photo)[0], app.photo_share(task, presenter.size)
         linear_photo = photo[0] ** DISPLAY_GAMMA
-        lit_pictures = [LitPicture(light_position, light_position, photo=linear_photo, shown_share=share)]
+        lit_pictures["photo_1"] = LitPicture(light_position, light_position, photo=linear_photo, shown_share=share)
     return make_surface_view(presenter.surface(theta, task), lit_pictures, falloff=FLASH_FALLOFF)
 
 
@@ -151,7 +168,7 @@ def _quilt_exemplar(exemplar: Tensor, ratio: int) -> Tensor:
 
 def make_surface_view(
     surface: Surface | None,
-    lit_pictures: Sequence[LitPicture],
+    lit_pictures: Mapping[str, LitPicture],
     *,
     falloff: float = 0.0,
     reference: Maps | None = None,
@@ -161,7 +178,8 @@ def make_surface_view(
 
     Args:
         surface: the fit.
-        lit_pictures: the pictures that are compared with photographs, or none.
+        lit_pictures: the pictures that are compared with photographs, by name, `photo_1` and so on, or `relit`; or
+            none.
         falloff: falloff of flashes in pictures, see :func:`metapp.appearance.flash.render_maps`.
         reference: the true maps, if they are known.
         largest: texels a side at most; larger maps are reduced.
@@ -178,16 +196,15 @@ def make_surface_view(
         heights if surface.height is not None or surface.tiles else _remove_drift(heights)
     )
     pictures = {f"fit_{name}": pixels for name, pixels in _encode_maps(small.maps).items()}
-    pictures |= {"height": _channels_last(height)}
+    pictures |= {"height": channels_last(height)}
     if reference is not None:
-        true_maps = _resize_maps(reference, _size_within(max(small.size), reference.diffuse))
+        true_maps = _resize_maps(reference, size_within(max(small.size), reference.diffuse))
         pictures |= {f"reference_{name}": pixels for name, pixels in _encode_maps(true_maps).items()}
-    lit_by_name = {f"photo_{number}": lit_picture for number, lit_picture in enumerate(lit_pictures, 1)}
-    for name, lit_picture in lit_by_name.items():
+    for name, lit_picture in lit_pictures.items():
         if (photo := lit_picture.photo) is not None:
-            small_photo = adaptive_avg_pool2d(photo, _size_within(MAX_PHOTO_SIDE_PX, photo))
-            pictures[name] = _channels_last(radiance_to_display(small_photo))
-    lit_by_name |= {name: LitPicture(light, camera) for name, (light, camera) in relighting_positions().items()}
+            small_photo = adaptive_avg_pool2d(photo, size_within(MAX_PHOTO_SIDE_PX, photo))
+            pictures[name] = channels_last(radiance_to_display(small_photo))
+    other_lights = {name: LitPicture(light, camera) for name, (light, camera) in relighting_positions().items()}
     facts = {
         "tiles": surface.tiles,
         "size": list(surface.size),
@@ -202,13 +219,13 @@ def make_surface_view(
                 "gain": lit_picture.gain,
                 "part": lit_picture.shown_share,
             }
-            for name, lit_picture in lit_by_name.items()
+            for name, lit_picture in {**lit_pictures, **other_lights}.items()
         },
     }
     thumbnail_maps = _resize_maps(small.maps, (MAX_THUMBNAIL_PX, MAX_THUMBNAIL_PX))
     positions = texel_positions(MAX_THUMBNAIL_PX, MAX_THUMBNAIL_PX)
     radiance = render_maps(thumbnail_maps, positions, *relighting_positions()["above"])
-    thumbnail = _channels_last(radiance_to_display(radiance).squeeze(0))
+    thumbnail = channels_last(radiance_to_display(radiance).squeeze(0))
     return View("surface", pictures=pictures, facts=facts, shared={"light": reference_light_map()}, thumbnail=thumbnail)
 
 
@@ -231,26 +248,15 @@ def _encode_maps(maps: Maps) -> dict[str, Tensor]:
     """
     x_and_y = (maps.normal[:2] * 127 + 128) / 255
     return {
-        "diffuse": _channels_last(maps.diffuse.clamp(0, 1) ** (1 / DISPLAY_GAMMA)),
-        "specular": _channels_last(maps.specular.clamp(0, 1) ** (1 / DISPLAY_GAMMA)),
-        "detail": _channels_last(torch.cat([x_and_y, maps.roughness])),
+        "diffuse": channels_last(maps.diffuse.clamp(0, 1) ** (1 / DISPLAY_GAMMA)),
+        "specular": channels_last(maps.specular.clamp(0, 1) ** (1 / DISPLAY_GAMMA)),
+        "detail": channels_last(torch.cat([x_and_y, maps.roughness])),
     }
-
-
-def _channels_last(pixels: Tensor) -> Tensor:
-    return pixels.permute(1, 2, 0)
-
-
-def _size_within(largest: int, values: Tensor) -> tuple[int, int]:
-    """Return height and width of values [..., H, W], reduced in proportion to at most `largest` a side."""
-    height, width = values.shape[-2:]
-    share = min(1.0, largest / max(height, width))
-    return max(1, round(share * height)), max(1, round(share * width))
 
 
 def _reduce_surface(surface: Surface, largest: int) -> Surface:
     """Return a surface reduced to at most `largest` texels a side, by means over texels."""
-    size = _size_within(largest, surface.colour)
+    size = size_within(largest, surface.colour)
     if size == surface.size or surface.maps is None:
         return surface
     maps, height = _resize_maps(surface.maps, size), surface.height

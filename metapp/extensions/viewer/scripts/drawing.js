@@ -84,7 +84,7 @@ class DrawnViewer extends ComparingViewer {
     return clamp(Math.round(MINUTE / cost), 64, 1024);
   }
   get chunks() { return 16; }  // number of samples among which the studio's lights are divided
-  surrounded() { return this.lampShown() && this.settings.surround; }
+  surrounded() { return this.settings.view === "free" && this.lampShown() && this.settings.surround; }
   finished() { return this.stopped || this.count >= this.most(); }
 
   draw() {

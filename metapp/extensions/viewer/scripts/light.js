@@ -121,7 +121,6 @@ class LightViewer extends ShapeViewer {
 
   async open() {
     await super.open();
-    this.orbit.enabled = false;
     this.looking = this._pass(LOOK, {
       ...this._shown(), photo: null, ball: null, mode: 0, finer: 1, zoom: 1, heading: new THREE.Vector2(),
     });
@@ -190,7 +189,6 @@ class LightViewer extends ShapeViewer {
 
   changed(name) {
     if (["heading", "pitch", "field"].includes(name)) this.redraw(); else super.changed(name);
-    this.orbit.enabled = this.settings.view === "free";
   }
 
   // Drag to turn, wheel or two fingers to zoom.

@@ -10,6 +10,7 @@ const KEYS = [
   ["\u2190 \u2192 on the wipe", "move it by 1 %, with Shift by 10 %; Home and End: to an edge"],
   ["\u2190 \u2192 \u2191 \u2193 on shapes", "turn them; + and \u2212: nearer or farther; 0: from the front again"],
   ["\u2190 \u2192 \u2191 \u2193 on pictures", "move them; + and \u2212: zoom; 0: as large as fits; 1: 100 %"],
+  ["\u2190 \u2192 \u2191 \u2193 on maps as in metapp's picture", "move them, or the lamp of photos that are relit; + and \u2212: zoom; 0: all"],
   ["?", "this help; Esc closes it"],
 ];
 const MODES = { s: "beside", a: "all", d: "difference", w: "wipe", r: "reference", f: "fit" };

@@ -27,12 +27,12 @@ class Overlay {
     const moving = (on) => viewer.moving(on), share = (event) => { const { x, width } = viewer.paneAt(event); return x / width; };
     const wipe = wipeHandle(() => viewer.settings.wipe, (to) => viewer.set("wipe", to), share, moving);
     viewer.element.append(label, legend, lamp, wipe);
-    draggable(lamp, (event) => this._lampTo(event), moving);
+    draggable(lamp, (event) => this.lampTo(event), moving);
     lamp.addEventListener("keydown", (event) => {
       const by = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
       if (!by) return;
       event.preventDefault();
-      this.moveLamp(...by.map((each) => each * STEP / (event.shiftKey ? 5 : 1)));
+      this.stepLamp(...by, event.shiftKey);
     });
     return { label, legend, lamp, wipe };
   }
@@ -46,26 +46,25 @@ class Overlay {
 
   // Place the lamp's handle: its angle from the line of sight grows with the distance from the middle, so that all directions
   // are within reach.
-  _lampTo(event) {
+  lampTo(event) {
     const { viewer } = this, { x, y, width, height } = viewer.paneAt(event), half = halfOf(width, height);
     const [right, up] = [(x - width / 2) / half, -(y - height / 2) / half];
     const radius = Math.min(Math.hypot(right, up), 1.41), cosine = 1 - radius * radius, sine = Math.sqrt(Math.max(1 - cosine * cosine, 0));
     const angle = Math.atan2(up, right), own = new THREE.Vector3(sine * Math.cos(angle), sine * Math.sin(angle), cosine);
-    viewer.lampAt.copy(own.transformDirection(viewer.camera.matrixWorld));
-    viewer.restart();
+    viewer.putLamp(own.transformDirection(viewer.viewerFrame()));
   }
 
   // Turn the lamp about the object by angles to the right and up, as the object is seen.
   moveLamp(right, up) {
-    const { viewer } = this, [x, y] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, axis));
-    viewer.lampAt.applyAxisAngle(y, right).applyAxisAngle(x, -up).normalize();
-    viewer.restart();
+    const { viewer } = this, [x, y] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(viewer.viewerFrame(), axis));
+    viewer.putLamp(viewer.lampAt.clone().applyAxisAngle(y, right).applyAxisAngle(x, -up));
   }
+  stepLamp(right, up, finely) { this.moveLamp(...[right, up].map((each) => each * STEP / (finely ? 5 : 1))); }
 
   place() {
     const { viewer } = this, { settings, camera, panes } = viewer, ratio = viewer.renderer.getPixelRatio();
     if (!panes || panes.length !== this.each.length) return;
-    const lamp = viewer.lampAt.clone().transformDirection(camera.matrixWorldInverse.copy(camera.matrixWorld).invert());
+    const lamp = viewer.lampAt.clone().transformDirection(viewer.viewerFrame().clone().invert());
     const radius = Math.sqrt(Math.max(1 - lamp.z, 0)), flat = Math.hypot(lamp.x, lamp.y) || 1;
     this.each.forEach((each, i) => {
       const [left, top, width, height] = ["x", "y", "width", "height"].map((name) => panes[i][name] / ratio), half = halfOf(width, height);

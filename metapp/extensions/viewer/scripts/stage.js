@@ -20,6 +20,8 @@ class ShapeViewer extends DrawnViewer {
   static stops = 6;  // range of the exposure in stops, either way
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
   lampShown() { return this.settings.light === "lamp" && this.settings.view === "free"; }
+  get isFlat() { return this.settings.view === "picture" && this.picture(this.settings) !== null; }  // whether metapp's own picture is shown
+  get hasFlatLamp() { return false; }  // whether the lamp of metapp's own picture can be dragged
   picture(settings) { return null; }  // {lamp, eye, half: half the side of an orthographic view} while metapp's own picture is shown
 
   async open() {
@@ -61,6 +63,7 @@ class ShapeViewer extends DrawnViewer {
     for (const fit of this.fits) this.materials.push(this._made(await this.material(fit)));
     this.settings = {};
     this.overlay = new Overlay(this);
+    this.framing = new Framing(this);
   }
 
   _renderer() {
@@ -129,12 +132,24 @@ class ShapeViewer extends DrawnViewer {
     this.overlay.place();
   }
 
+  restart() {
+    this.orbit.enabled = this.settings.view === "free";  // flat pictures have their `framing`
+    super.restart();
+  }
+
+  // Return the frame in which the lamp is moved: x right, y up, z towards the viewer, in the world.
+  viewerFrame() { return this.isFlat ? new THREE.Matrix4() : this.camera.matrixWorld; }
+  putLamp(direction) {
+    this.lampAt.copy(direction).normalize();
+    this.restart();
+  }
+
   _key(event) {
-    const turn = Math.PI / 36, does = {
+    const turn = Math.PI / 36, does = this.isFlat ? this.framing.key(event) : {
       ArrowLeft: () => this.look(-turn, 0), ArrowRight: () => this.look(turn, 0), ArrowUp: () => this.look(0, -turn), ArrowDown: () => this.look(0, turn),
       "+": () => this.look(0, 0, 0.9), "-": () => this.look(0, 0, 1 / 0.9), 0: () => { this.camera.position.set(0, 0, 5); this.look(0, 0); },
     }[event.key];
-    if (!does || !this.orbit.enabled || event.ctrlKey || event.metaKey) return;
+    if (!does || !(this.isFlat || this.orbit.enabled) || event.ctrlKey || event.metaKey) return;
     event.preventDefault();
     does();
   }
@@ -221,13 +236,16 @@ class ShapeViewer extends DrawnViewer {
     return true;
   }
 
+  // Return the width and height of a pane over those of the flat picture in it, one of which fills the pane.
+  flatMargins(aspect) { const share = aspect / this.shapeOfPane(); return [Math.max(share, 1), Math.max(1 / share, 1)]; }
+
   // Return {matrix: world to clip, eye, parallel, towardsEye} of a column of this aspect.
   view(aspect) {
     const own = this.settings.view === "picture" ? this.picture(this.settings) : null;
     if (own) {
-      const wide = Math.max(aspect, 1), high = Math.max(1 / aspect, 1), half = own.half;
+      const [wide, high] = this.flatMargins(aspect), { zoom, x, y } = this.framing, half = own.half / zoom;
       const camera = new THREE.OrthographicCamera(-half * wide, half * wide, half * high, -half * high, 0.1, 50);
-      camera.position.set(0, 0, 5);
+      camera.position.set(own.half * x, own.half * y, 5);
       camera.updateMatrixWorld();
       return { matrix: new THREE.Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse),
         eye: own.eye ?? camera.position, parallel: !own.eye, towardsEye: new THREE.Vector3(0, 0, 1) };

@@ -3,7 +3,7 @@
 //
 // pictures: fit_diffuse and fit_specular at gamma 2.2, fit_detail (x and y of normals, 0 at 128, and roughness), height from the
 // lowest to the highest of facts.heights, in texture widths; reference_diffuse and so on if the true maps are known; photo_1, ...
-// at gamma 2.2.
+// at gamma 2.2; for photographs under a lamp that is dragged, what scripts/relit.js reads.
 // facts: lit has light, eye, gain and shown part of metapp's pictures, by name; see make_surface_view in
 // metapp.extensions.viewer.pages.flat for the others.
 
@@ -131,8 +131,13 @@ class SurfaceViewer extends ShapeViewer {
 
   async open() {
     this.nothing = texture(new Float32Array(4), 1, 1);
-    this.photos = new Map();
+    this.photos = new Map(); this.relit = new Map();
     await super.open();
+  }
+
+  close() {
+    this.relit?.forEach((each) => each.free());
+    super.close();
   }
 
   async material(fit) {
@@ -143,7 +148,11 @@ class SurfaceViewer extends ShapeViewer {
       uniforms[`reference_${name}`] = known ? await pictureTexture(fit.pictures[`reference_${name}`], tiles) : this.nothing;
     }
     for (const [name, address] of Object.entries(fit.pictures)) {
-      if (name.startsWith("photo_") && !this.photos.has(address)) this.photos.set(address, await pictureTexture(address, false));
+      if (/^(photo|plane)_/.test(name) && !this.photos.has(address)) this.photos.set(address, await pictureTexture(address, false));
+    }
+    if (fit.facts.relit) {
+      const planes = fit.facts.relit.ranges.map((_, k) => this.photos.get(fit.pictures[`plane_${k}`]));
+      this.relit.set(fit, await RelitPhotos.of(this, fit, planes, uniforms.fit_detail));
     }
     const changing = { photo: this.nothing, repeats: new THREE.Vector2(1, 1), pictured: false, hasPhoto: false, across: 1, falloff: 0, shownMap: 0, relief: 0, steepness: 0, heightLod: 0, poles: false };
     return { glsl: MATERIAL, displacement: RELIEF, uniforms: { ...uniforms, ...changing } };
@@ -152,7 +161,16 @@ class SurfaceViewer extends ShapeViewer {
   // Return the chosen picture of metapp for one fit; other fits of the group may have another number of photographs.
   lit(fit) {
     const { lit } = fit.facts, name = this.settings.pictured in lit ? this.settings.pictured : Object.keys(lit)[0];
-    return { name, ...lit[name] };
+    const light = name === "relit" ? this.lampAt.clone().multiplyScalar(lit.relit.light[2]).toArray() : lit[name].light;
+    return { name, ...lit[name], light };
+  }
+  get hasFlatLamp() { return this.isFlat && this.settings.map === "lit" && this.lit(this.fits[0]).name === "relit"; }
+  putLamp(direction) {  // photographs have no lamps below the horizon
+    super.putLamp(this.hasFlatLamp ? direction.setZ(Math.max(direction.z, 0)) : direction);
+  }
+  changed(name) {
+    if (this.hasFlatLamp) this.putLamp(this.lampAt);
+    super.changed(name);
   }
 
   picture() {
@@ -160,13 +178,22 @@ class SurfaceViewer extends ShapeViewer {
     return { shape: "plane", light: "lamp", half: 1, lamp: new THREE.Vector3(...light), eye: new THREE.Vector3(...eye), power: gain * Math.PI * LAMP_DISTANCE ** 2 };
   }
 
-  photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
-  firstView() { return this.fits.some((fit) => "photo_1" in fit.pictures) ? "picture" : "free"; }  // first the photo beside the fit under its flash
-  lampShown() { return super.lampShown() && this.settings.map === "lit"; }
-  named(fit) { return this.photo(fit) ? "Photo" : super.named(fit); }
+  photo(fit) {
+    if (this.settings.view !== "picture") return null;
+    const { name } = this.lit(fit);
+    return name === "relit" ? this.relit.get(fit).under(this.lampAt, this.settings) : this.photos.get(fit.pictures[name]);
+  }
+  firstView() { return this.fits.some(({ pictures, facts }) => "photo_1" in pictures || facts.relit) ? "picture" : "free"; }  // first the photo beside the fit under its flash
+  shapeOfPane() {  // photographs that are relit are shown whole, whatever their shape
+    const { relit, shown } = this.fits[0].facts;
+    return relit && this.isFlat ? shown[1] / shown[0] : 1;
+  }
+  lampShown() { return this.hasFlatLamp || (super.lampShown() && this.settings.map === "lit"); }
+  hasPhoto(fit) { return this.settings.view === "picture" && (this.lit(fit).name === "relit" || this.lit(fit).name in fit.pictures); }
+  named(fit) { return !this.hasPhoto(fit) ? super.named(fit) : this.hasFlatLamp ? "Photos, relit" : "Photo"; }
   referenced(fit) {
     const { map = "lit" } = this.settings;
-    return map === "height" ? false : "reference_diffuse" in fit.pictures || (map === "lit" && Boolean(this.photo(fit)));
+    return map === "height" ? false : "reference_diffuse" in fit.pictures || (map === "lit" && this.hasPhoto(fit));
   }
 
   most() { return this.settings.map === "lit" ? super.most() : 16; }
@@ -177,7 +204,7 @@ class SurfaceViewer extends ShapeViewer {
     const photo = this.photo(fit), high = this.camera.position.length() * Math.tan(this.camera.fov * Math.PI / 360);
     u.repeats.value.set(pictured ? count : around * count, count);
     u.pictured.value = pictured;
-    u.across.value = pictured ? Math.min(pixels, rows) : rows / high;
+    u.across.value = pictured ? rows / this.flatMargins(pixels / rows)[1] * this.framing.zoom : rows / high;
     u.heightLod.value = Math.max(Math.log2(around * count * fit.facts.shown[1] / vertices), 0);
     u.relief.value = pictured ? 0 : settings.relief * width / count;
     u.steepness.value = pictured || settings.map !== "lit" ? 0 : settings.relief;
@@ -194,13 +221,14 @@ class SurfaceViewer extends ShapeViewer {
   }
 
   ownControls() {
-    const [fit] = this.fits, { lit, tiles, size, shown, fitted_height: fitted } = fit.facts, photos = Object.keys(fit.pictures).filter((name) => name.startsWith("photo_"));
-    const titles = { left: "Lit from the left", above: "Lit from above", aside: "Lit and seen from aside", photo_1: !photos.length ? "Under the flash" : photos.length > 1 ? "As photo 1" : "As the photo" };
+    const [fit] = this.fits, { lit, tiles, size, shown, fitted_height: fitted, relit } = fit.facts, photos = Object.keys(fit.pictures).filter((name) => name.startsWith("photo_"));
+    const titles = { relit: "Under a lamp to drag", left: "Lit from the left", above: "Lit from above", aside: "Lit and seen from aside", photo_1: !photos.length ? "Under the flash" : photos.length > 1 ? "As photo 1" : "As the photo" };
     const free = (s) => s.view === "free", compared = "reference_diffuse" in fit.pictures;
     const notes = [
       tiles ? "The maps tile." : "The maps do not tile: copies are mirrored.",
       fitted ? "" : `Heights are computed from the normals${tiles ? "" : ", without their curvature over the whole map"}.`,
       photos.length ? `The photo${photos.length > 1 ? "s stand" : " stands"} beside the fit under ${photos.length > 1 ? "their flashes" : "its flash"}. View, Free: other shapes, and a lamp to drag.${compared ? " There the reference is the true maps." : ""}` : "",
+      relit ? `Beside the fitted maps stands what ${relit.photos} photos say of the object under the lamp. Drag the lamp, or anywhere in the pictures; wheel or two fingers zoom, the right button moves them. View, Free: other shapes.` : "",
       lit.photo_1?.part < 1 ? "The maps are larger than the photo: under its flash their upper left part is shown." : "",
       shown[0] < size[0] ? `Reduced from ${size[1]} x ${size[0]} to ${shown[1]} x ${shown[0]} texels for this page.` : "",
     ];
@@ -208,6 +236,7 @@ class SurfaceViewer extends ShapeViewer {
       { name: "pictured", label: "Picture", type: "choice", value: Object.keys(lit)[0], when: (s) => s.view === "picture",
         options: Object.keys(lit).map((name) => [name, titles[name] ?? `As ${name.replace("_", " ")}`]) },
       { name: "map", label: "Map", type: "choice", value: "lit", options: Object.entries(SHOWN_MAPS) },
+      ...relitControls((s) => s.view === "picture" && s.pictured === "relit" && s.map === "lit"),
       { name: "repeats", label: "Copies of the maps", type: "range", min: 1, max: 8, step: 1, value: 1, when: free },
       { name: "relief", label: "Displacement", type: "range", min: 0, max: 4, step: 0.1, value: 1, text: (x) => `${x.toFixed(1)} times`, when: free },
       { name: "told", label: notes.filter(Boolean).join(" "), type: "note" },
