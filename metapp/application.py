@@ -133,14 +133,40 @@ class ExportSurface(Protocol):
         ...
 
 
+class ExportTask(Protocol):
+    """A function that writes what the task of a fit predicts as files for other programs.
+
+    >>> def write_count(app, task, path):
+    ...     path.with_suffix(".txt").write_text(f"{len(task.data['lit'])} photos")
+    """
+
+    def __call__(self, app: Any, task: Task, path: Path, /) -> None:
+        """Write a task.
+
+        Args:
+            app: the application.
+            task: the task that was fitted; without data if its input was not given.
+            path: the path of the file, or of the folder of several files, without suffix; its last part is the task's
+                name.
+
+        Raises:
+            ValueError: the form cannot hold tasks of this application.
+            KeyError: the task has no data; `metapp export` then looks for the input and calls again.
+            OSError: the files cannot be written.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Export(Lazy[Any]):
     """A form in which fits are written for other programs: a reference to a function.
 
-    The function is :class:`ExportParameters`, or :class:`ExportSurface` if `of_surface` is set.
+    The function is :class:`ExportParameters`, or :class:`ExportSurface` if `of_surface` is set, or :class:`ExportTask`
+    if `of_task` is.
 
     Attributes:
         of_surface: whether the function writes the flat surface of a fit instead of its parameters.
+        of_task: whether the function writes what a fit's task predicts instead of its parameters.
         holds: the names of the parameters that the form can hold; fits with another network are distilled into these
             first. () if the form is made of what any network evaluates to.
         needs: the module and the package of a library that the function needs and that is not always installed; ()
@@ -148,6 +174,7 @@ class Export(Lazy[Any]):
     """
 
     of_surface: bool = False
+    of_task: bool = False
     holds: tuple[str, ...] = ()
     needs: tuple[str, str] | tuple[()] = ()
 

@@ -233,10 +233,11 @@ def test_modules_have_the_attributes_that_entries_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("form", EXPORTS.values(), ids=EXPORTS)
-def test_writers_take_a_surface_or_parameters(form: Export) -> None:
+def test_writers_take_a_surface_a_task_or_parameters(form: Export) -> None:
     parameters = inspect.signature(form.load()).parameters.values()
     names = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
-    assert names[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
+    expected = ["surface", "path"] if form.of_surface else ["app", "task"] if form.of_task else ["app", "theta"]
+    assert names[:2] == expected
     assert len(names) == 3
 
 

@@ -155,6 +155,9 @@ def export_fit(choice: Choice, task: Task, theta: Params, path: Path, name: str,
         assert surface is not None, f"{app.name} has no surface"
         write(surface, path, {"task": task.name, **settings.document()})
         return
+    if form.of_task:
+        write(app, task, path)
+        return
     if form.holds and set(theta) != set(form.holds):
         key = f"{app.name} {task_digest(task)} {tensor_digest(theta)}"
         if key not in _DISTILLED_FITS:
