@@ -165,6 +165,13 @@ def rgl(registry: Registry) -> None:
         )
 
 
+def rti_files(registry: Registry) -> None:
+    """Register exports of objects under many lamps: Polynomial Texture Maps, and folders of the program Relight."""
+    exports = registry.applications["svbrdf_nonstationary"].exports
+    exports["ptm"] = Export(f"{_HERE}.rti_files.ptm_file:write_ptm", of_task=True)
+    exports["relight"] = Export(f"{_HERE}.rti_files.relight_folder:write_relight", of_task=True)
+
+
 def scene_files(registry: Registry) -> None:
     """Register scene files of Mitsuba as inputs of light transport."""
     here = f"{_HERE}.scene_files"

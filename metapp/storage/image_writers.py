@@ -1,4 +1,4 @@
-"""Writers of pictures: PNG of 8 or 16 bits and EXR, each written whole or not at all, and pictures inside of pages.
+"""Writers of pictures: PNG, JPEG and EXR, each written whole or not at all, and pictures inside of pages.
 
 What a picture shows, and in which colour space it is, is decided by who writes it.
 """
@@ -63,6 +63,22 @@ def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
         # with a maximum below 1, dark parts would lie where half floats lose digits
         half = bool(1 <= values.max() <= np.finfo(np.float16).max)
     _write_image(values, {"oiio:ColorSpace": "lin_rec709_scene"}, "half" if half else "float", path)
+
+
+def write_jpeg(pixels: Tensor, path: Path, quality: int) -> None:
+    """Write three channels that are no colours as JPEG, each compressed by itself.
+
+    Args:
+        pixels: the values, [H, W, 3], which are clamped to [0, 1].
+        path: the file to write.
+        quality: the quality, 1 to 100.
+
+    Raises:
+        OSError: the file cannot be written; the message names the folder.
+    """
+    image = to_8_bit_image(pixels.numpy())
+    # OpenImageIO converts to luminance and chrominance, which at 95 doubles the errors of channels that are no colours
+    write_atomically(path, lambda partial: image.save(partial, "JPEG", quality=quality, subsampling=0, keep_rgb=True))
 
 
 def _write_image(values: np.ndarray, attributes: Mapping[str, str | int], pixel_type: str, path: Path) -> None:
