@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, mix_photos, sample_pixels
@@ -110,4 +111,4 @@ def grid_directions(side: int) -> Tensor:
     # the map's diamond |x| + |y| <= 1 is turned by 45 degrees into the square of the grid
     x, y = (first - second).flatten() / 2, (first + second).flatten() / 2
     vectors = torch.stack([x, y, (1 - x.abs() - y.abs()).clamp_min(0)], 1)
-    return (vectors / vectors.norm(dim=1, keepdim=True)).float()
+    return normalize(vectors).float()
