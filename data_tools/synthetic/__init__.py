@@ -4,6 +4,6 @@ Each of `brdf`, `texture`, `svbrdf_stationary`, `svbrdf_nonstationary`, `illumin
 one application, by random draws of `random_values`. For BRDFs read `brdf_models` and `brdf_anisotropic_models`, the
 reflection models, with `interfaces`, Fresnel's equations; `brdf_draws`, their random numbers; and `brdf_anisotropic`,
 the anisotropic materials. Periodic patterns are in `patterns`, materials in `stationary` and `nonstationary`,
-environment maps in `environments`, and Cornell boxes in `cornell`, of which `transport_task` makes tasks. `examples`
-has small files to try commands on.
+environment maps in `environments`, and Cornell boxes in `cornell`, of which `transport_task` makes tasks.
+`domes` photographs real materials under many lamps, for training. `examples` has small files to try commands on.
 """
