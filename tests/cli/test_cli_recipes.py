@@ -4,6 +4,7 @@ The cases are the registry's recipes, so that a recipe that is added later is te
 """
 
 import importlib.util
+import math
 import os
 import re
 import shutil
@@ -89,12 +90,22 @@ def placed_photos(folder: Path, name: str) -> Path:
     return folder / name
 
 
+def lit_photos(folder: Path, name: str) -> Path:
+    """A folder of photographs under four lamps, or under five, with a text of directions to them."""
+    count = 4 + NAMES.index(name)
+    for number in range(count):
+        write_noise_photo(folder / name / f"{number}.png", number)
+    rows = [f"{number}.png {math.cos(number)} {math.sin(number)} 1\n" for number in range(count)]
+    (folder / name / "lamps.lp").write_text(f"{count}\n" + "".join(rows))
+    return folder / name
+
+
 # A recipe is fitted to the first of these inputs of its application that choose it, else to the first of its protocol.
 INPUTS: dict[str, tuple[Writer, ...]] = {
     "brdf": (table(500), table(100), table(4000, anisotropic=True)),
     "texture": (noise_photo,),
     "svbrdf_stationary": (noise_photo,),
-    "svbrdf_nonstationary": (renamed(strip), renamed(flash), placed_photos),
+    "svbrdf_nonstationary": (renamed(strip), renamed(flash), placed_photos, lit_photos),
     "illumination": (noise_map, renamed(ball)),
     "transport": (renamed(lambda folder: write_example("transport", folder)[0]),),
 }

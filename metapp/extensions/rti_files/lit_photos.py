@@ -19,6 +19,6 @@ def get_lit_photos(app: SvbrdfNonstationary, task: Task) -> tuple[Tensor, Tensor
     if not isinstance(app, RtiApp):
         raise ValueError(
             f"{task.name}: a fit of flash photos or maps, expected one of photos under many lamps, by the recipe rti; "
-            "fit a folder with a text .lp of light directions, or write it as gltf, mitsuba or another material."
+            "fit a folder with a text .lp of light directions; export gltf, mitsuba or another material of this one."
         )
     return task.data["lit"], task.data["lamps"].float()
