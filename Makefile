@@ -27,7 +27,7 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh $(wildca
 demo: setup  ## fit 20 unseen materials by the best rule and in 10 gradient steps; one table and picture of both
 	$(METAPP) meta brdf --quiet --out $(RUNS)
 	$(METAPP) meta brdf --rule meta-curvature --steps 10 --quiet --out $(RUNS)
-	$(METAPP) compare $(RUNS)/brdf/meta $(RUNS)/brdf/meta-meta-curvature
+	$(METAPP) compare $(RUNS)/brdf/meta $(RUNS)/brdf/meta-meta-curvature-10steps
 
 WORKERS := -n auto --maxprocesses 4 --dist worksteal
 

@@ -28,10 +28,11 @@ from metapp.extensions.baselines.baseline import TrainingTasks, judge_prediction
 from metapp.extensions.baselines.baseline_fits import cost_limits_of, read_training_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.runs.choice import choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.fitter import Fitter, rng_of
-from metapp.runs.inputs.run_inputs import FILES_LABEL, read_test_tasks, training_data_folder
+from metapp.runs.data_sets.embedded import make_embedded_test_set
+from metapp.runs.fitting import Fitter, fit_tasks_of, rng_of
+from metapp.runs.inputs.finding import data_label, find_in_data_set, training_data_folder
+from metapp.runs.resolve import app_of, complete
+from metapp.runs.spec import Spec
 
 MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)  # samples that a fit sees
 SAMPLES_FIGURE_FILE = Path("runs/bench/samples.png")
@@ -71,14 +72,12 @@ BASE_METHOD = COMPARED_METHODS[0]
 ErrorsByName = dict[str, float]  # errors x100 by the task's name
 
 
-def errors_of_method(
-    method: ComparedMethod, tasks: list[Task], data: Path | None, count: int, training: TrainingTasks
-) -> ErrorsByName:
+def errors_of_method(method: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks) -> ErrorsByName:
     """Return errors x100 of a method's fits of tasks that have `count` samples."""
     if not method.recipe:
         return _errors_of_baselines(method, tasks, count, training)
-    choice = choose(fit_options("brdf", method.name, recipe=method.recipe, data=data, device="cpu", quiet=True))
-    return {fit.name: fit.errors["error"] for fit in Fitter.of(choice, FILES_LABEL).fit_one_by_one(tasks)}
+    fitter = Fitter.of(complete(Spec(app="brdf", paradigm=method.name, recipe=method.recipe, device="cpu")))
+    return {task.name: fit_tasks_of(fitter, [task])[0].errors["error"] for task in tasks}
 
 
 @torch.no_grad()
@@ -86,19 +85,16 @@ def _errors_of_baselines(
     method: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks
 ) -> ErrorsByName:
     """Return errors x100 of a baseline's fits of tasks that have `count` samples."""
-    choice = choose(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
-    baseline = next(
-        candidate for candidate in baselines_of(choice.application, choice.app) if candidate.name == method.name
-    )
-    cost_limits = cost_limits_of(choice)
+    spec = complete(Spec(app="brdf", paradigm="general", recipe="quick", device="cpu"))
+    app = app_of(spec)
+    baseline = next(candidate for candidate in baselines_of(spec.application, app) if candidate.name == method.name)
+    cost_limits = cost_limits_of(spec)
     baseline.prepare(training, cost_limits._replace(samples=min(count, cost_limits.samples)))
     errors = {}
     for task in tasks:
-        stacked = stack_tasks(choice.app, [task])
-        prediction = baseline.fit(stacked, rng_of(choice, task), cost_limits).prediction()
-        errors[task.name] = choice.app.error_measure.scale * float(
-            judge_prediction(choice.app, prediction, stacked)["error"]
-        )
+        stacked = stack_tasks(app, [task])
+        prediction = baseline.fit(stacked, rng_of(spec, task), cost_limits).prediction()
+        errors[task.name] = app.error_measure.scale * float(judge_prediction(app, prediction, stacked)["error"])
     return errors
 
 
@@ -159,9 +155,10 @@ def main() -> None:
     """Print the tables and draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    choice = choose(fit_options("brdf", "general", recipe="quick"))
-    application, app = choice.application, choice.app
-    tasks, label = read_test_tasks(application, app, data, quiet=True)
+    spec = complete(Spec(app="brdf", paradigm="general", recipe="quick"))
+    application, app = spec.application, app_of(spec)
+    folder = data or make_embedded_test_set(application, quiet=True)
+    tasks, label = [one.read_task(spec, app) for one in find_in_data_set(spec, folder)], data_label(folder)
     training = read_training_tasks(app, training_data_folder(application, data, quiet=True))
     measured_tasks = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]
     print(f"{label}: {len(tasks)} test materials, {len(training.tasks)} for components; errors x100\n")
@@ -172,7 +169,7 @@ def main() -> None:
     errors_by_method, means_by_method = {}, {}
     for method in COMPARED_METHODS:
         errors_by_method[method] = [
-            errors_of_method(method, tasks_of_count, data, count, training)
+            errors_of_method(method, tasks_of_count, count, training)
             for tasks_of_count, count in zip(measured_tasks, MEASURED_COUNTS, strict=True)
         ]
         means_by_method[method] = [statistics.fmean(errors.values()) for errors in errors_by_method[method]]

@@ -41,8 +41,6 @@ class RecipeEntry(Lazy["Recipe"]):
         inputs: the inputs that the recipe suits, as a noun phrase, such as "one flash photo".
         suits: facts of inputs, each with its value or range; the recipe is chosen for inputs that have all of them,
             unless the user names a recipe. {} if the recipe is only used where it is named.
-        mixed_recipe: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; ""
-            if such folders are refused.
         paradigms: the paradigms for which the recipe is chosen; () for all.
         describe_missing_file: a reference to a function without arguments that returns a line about a file that the
             recipe needs and that is missing, or ""; None if the recipe needs no file.
@@ -50,7 +48,6 @@ class RecipeEntry(Lazy["Recipe"]):
 
     inputs: str = ""
     suits: Mapping[str, FactRange] = field(default_factory=dict)
-    mixed_recipe: str = ""
     paradigms: tuple[str, ...] = ()
     describe_missing_file: Lazy[Callable[[], str]] | None = None
 
@@ -78,10 +75,12 @@ class Format(Lazy[Any]):
         inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT, so that the
             module needs no `recognises`.
         data_sets: whether the command "data NAME" also accepts data sets.
+        is_self_contained: whether all files of an input lie in its folder; False for scenes, which name other files.
     """
 
     inputs: str = ""
     data_sets: bool = False
+    is_self_contained: bool = True
 
 
 class ExportParameters(Protocol):

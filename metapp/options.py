@@ -123,7 +123,7 @@ def _collect_options(options: type) -> Mapping[str, Option]:
     return options_found
 
 
-def parse_options(options: type[Options], values: Mapping[str, object], **checked: object) -> Options:
+def parse_options(options: type[Options], values: Mapping[str, object], /, **checked: object) -> Options:
     """Make an instance of a dataclass of options from given values.
 
     Args:
@@ -172,12 +172,10 @@ class AppOptions:
         """
         return recipe
 
-    def recorded_values(self) -> dict[str, object]:
-        """Return the values for a fit's record, as JSON holds them.
 
-        These are options that the errors of fits depend on, and options that later exports of the fit must know.
-        """
-        return {name: _to_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
+def to_json_options(values: Mapping[str, object]) -> dict[str, Any]:
+    """Return values of options, by name, as JSON holds them: tuples as lists, and paths as absolute text."""
+    return {name: _to_json(value) for name, value in sorted(values.items())}
 
 
 def _to_json(value: object) -> object:

@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(
-    ["torch", "metapp.runs.execution", "metapp.cli.command_tree", "metapp.apps.brdf.presenter"]
-)
+FORKS.set_forkserver_preload(["torch", "metapp.runs.keeping", "metapp.cli.command_tree", "metapp.apps.brdf.presenter"])
 STDOUT_FILE, STDERR_FILE = "out.txt", "err.txt"
 
 

@@ -79,13 +79,13 @@ def compare_devices(
 ) -> DeviceOutcome:
     """Fit on the CPU, then twice on the device; the second is timed, since the first call of a kernel loads it."""
     cpu_fits = [fit_test_task(app, observed, paradigm, "cpu", steps, seed, data) for seed in range(seeds)]
-    outcome = DeviceOutcome([float(fit.error or 0) for fit in cpu_fits], min(fit.seconds for fit in cpu_fits))
+    outcome = DeviceOutcome([float(fit.error or 0) for fit in cpu_fits], min(fit.seconds or 0.0 for fit in cpu_fits))
     try:
         device_fits = [fit_test_task(app, observed, paradigm, device, steps, 0, data) for _ in range(2)]
     except Exception as error:  # one run shows all that breaks
         traceback.print_exc()
         return outcome._replace(failure=f"{type(error).__name__}: {str(error).splitlines()[0][:80]}")
-    return outcome._replace(error=float(device_fits[1].error or 0), device_seconds=device_fits[1].seconds)
+    return outcome._replace(error=float(device_fits[1].error or 0), device_seconds=device_fits[1].seconds or 0.0)
 
 
 def table_row(app: str, observed: str, paradigm: str, outcome: DeviceOutcome) -> list[str]:

@@ -100,11 +100,6 @@ class ReliefOptions(AppOptions):
         ),
     ] = 1.0
 
-    @override
-    def recorded_values(self) -> dict[str, object]:
-        """Add the factor of slopes, by which later exports and pages show the fit, too."""
-        return super().recorded_values() | ({"relief": self.relief} if self.relief != 1 else {})
-
 
 @dataclass(frozen=True)
 class FlashOptions(ReliefOptions, CameraOptions):

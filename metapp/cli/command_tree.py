@@ -19,8 +19,8 @@ from metapp.cli.help import HelpCommand, HelpGroup
 from metapp.entries import METAPP_PACKAGE, describe_error, did_you_mean
 from metapp.options import BadOption, Converter
 from metapp.registry import registry
-from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import say
+from metapp.runs.spec import application_named
 
 TYPER_CONTEXT = {"help_option_names": ["-h", "--help"]}
 

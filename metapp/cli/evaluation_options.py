@@ -11,7 +11,7 @@ from typing import Annotated
 
 from metapp.options import Option
 from metapp.registry import registry
-from metapp.runs.fit_options import MAX_SEED
+from metapp.runs.spec import MAX_SEED
 
 ALL_TABLES = "all"  # value of --which that stands for every table
 TABLE_FORMATS = ("rich", "markdown", "latex", "csv", "json")

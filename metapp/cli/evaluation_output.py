@@ -17,21 +17,16 @@ from metapp.cli.console import escape_control_characters, print_json, standard_o
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, filled_columns, flatten_row, format_csv, format_tables
+from metapp.options import BadOption, options_by_name
 from metapp.registry import registry
-from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import application_named, check_observation, fit_options
 from metapp.runs.reporter import say
+from metapp.runs.spec import RunOptions, Spec, application_named, check_observation, parse_fit_options
 
 MIN_COLUMNS = 3  # columns that are shown however narrow the terminal is
-FIT_OPTION_NAMES = (
-    "rule",
-    "data",
-    "checkpoint",
-    "out",
-    "seed",
-    "device",
-    "quiet",
-)  # options that fits share with `metapp evaluate`
+# options of fits that `metapp evaluate` has, too; observation and recipe are chosen for each application
+SHARED_OPTIONS = (
+    (options_by_name(Spec).keys() | options_by_name(RunOptions).keys()) & options_by_name(EvaluateOptions).keys()
+) - {"observe", "recipe"}
 
 
 def evaluate(options: EvaluateOptions, apps: list[str], which: str, form: str) -> None:
@@ -171,21 +166,27 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
     applications = [application_named(name) for name in names]
     for application in [application for application in applications if application.observations] or applications:
         check_observation(options.observe, application)
-    fit_values, choices = {name: getattr(options, name) for name in FIT_OPTION_NAMES}, []
+    evaluations = []
     for application in applications:
         recipe = options.recipe if apps or options.recipe in application.recipes_observing() else "quick"
         observations = application.observations[: None if options.whole else 1] or ("",)
         for observation in [options.observe] if options.observe and any(observations) else observations:
-            values = {"observe": observation, "recipe": recipe, **fit_values}
-            choices.append(find_and_choose(fit_options(application, "general", **values)))
-    evaluations = []
-    for choice in choices:  # all checkpoints are read before the first fit
-        try:
-            evaluations.append(EvaluationRun(choice, is_measuring=not options.no_run, whole=options.whole))
-        except ValueError as error:
-            if apps:
+            values = {
+                "observe": observation,
+                "recipe": recipe,
+                **{name: getattr(options, name) for name in SHARED_OPTIONS},
+            }
+            spec, run_options = parse_fit_options(application.name, "general", **values)
+            try:  # all checkpoints are read before the first fit
+                evaluations.append(
+                    EvaluationRun(spec, run_options, is_measuring=not options.no_run, whole=options.whole)
+                )
+            except BadOption:
                 raise
-            say(f"{choice.presenter.title} is left out: {error}")
+            except ValueError as error:
+                if apps:
+                    raise
+                say(f"{application.title} is left out: {error}")
     return evaluations
 
 

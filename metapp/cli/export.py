@@ -68,7 +68,7 @@ def export_command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.run_records import export_fits, holds_fits
+    from metapp.runs.stored_fits import export_fits, holds_fits
 
     form_options = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
     if form in registry().file_exports and not holds_fits(source):

@@ -19,8 +19,8 @@ from metapp.cli.command_tree import make_app_group
 from metapp.options import INPUT, OUTPUT, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.fit_options import DEFAULT_TASKS_HELP, FitOptions, fit_options
 from metapp.runs.reporter import say
+from metapp.runs.spec import DEFAULT_TASKS_HELP, RunOptions, Spec, parse_fit_options
 
 
 def make_fit_command(paradigm: str, application: Application) -> Callable[..., None]:
@@ -30,15 +30,16 @@ def make_fit_command(paradigm: str, application: Application) -> Callable[..., N
         for option in ignored_options:
             if values.pop(option.name) not in (None, False):
                 say(f"{option.flag}: {paradigm} does not use this option; it is ignored.")
-        options = fit_options(application, paradigm, inputs or (), export=",".join(export or ()), **values)
+        spec, options = parse_fit_options(application.name, paradigm, export=",".join(export or ()), **values)
         with pause_garbage_collection():
             from metapp.cli.fit_output import fit_and_print
-        fit_and_print(options, json=json)
+        fit_and_print(spec, options, inputs or [], json=json)
 
-    ignored_options = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignored_options]
+    known_options = {**options_by_name(Spec), **options_by_name(RunOptions)}
+    ignored_options = [known_options[name] for name in PARADIGMS[paradigm].ignored_options]
     exports = ", ".join(sorted(application.exports))
     help_texts = {  # help that depends on the application; "" for an option that the application does not have
-        "observe": options_by_name(FitOptions)["observe"].help if application.observations else "",
+        "observe": known_options["observe"].help if application.observations else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(application.recipe_names)}; default: the one that suits the inputs, else full.",
         "rule": f"{', '.join(registry().rules)}; default: the recipe's.",
@@ -48,7 +49,7 @@ def make_fit_command(paradigm: str, application: Application) -> Callable[..., N
         "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
     )
     parameters = [parameter("inputs", Annotated[list[Path] | None, inputs_argument])]
-    for option in (*options_by_name(FitOptions).values(), *options_by_name(application.options.load()).values()):
+    for option in (*known_options.values(), *options_by_name(application.options.load()).values()):
         help_text = help_texts.get(option.name, option.help)
         is_hidden = not help_text or option in ignored_options
         changes = {"help": help_text, "hidden": is_hidden, "show_default": False, "rich_help_panel": option.panel}

@@ -1,29 +1,41 @@
 """The work of `metapp general|overfit|finetune|quickft|meta APP`, and what it prints.
 
-The fits themselves are made and kept by :mod:`metapp.runs.execution`; here is how a person and a script hear of them.
+The fits themselves are made and kept by :mod:`metapp.runs.keeping`; here is how a person and a script hear of them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import statistics
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 from rich.text import Text
 
-from metapp.appearance.presenter import Presenter
 from metapp.cli.command_process import Exit, command_seconds, state_what_interruption_keeps
 from metapp.cli.console import escape_control_characters, print_json, shorten_to_line, standard_output
+from metapp.options import BadOption
+from metapp.paradigms import ranks
 from metapp.registry import registry
-from metapp.runs.choice import find_and_choose
-from metapp.runs.execution import RunReport, execute
-from metapp.runs.fit_options import FitOptions
-from metapp.runs.reporter import format_number, say
+from metapp.runs.checkpoints import describe_checkpoint
+from metapp.runs.data_sets.embedded import is_embedded
+from metapp.runs.environment import make_folder
+from metapp.runs.fit import Fit
+from metapp.runs.fit_tables import count_guarded, summarise
+from metapp.runs.fitting import Failure, Fitter, make_fitters
+from metapp.runs.inputs.finding import DATA_SET_FORMAT, Input, find
+from metapp.runs.keeping import fit_and_keep
+from metapp.runs.outputs.fit_files import export_path, file_to_open
+from metapp.runs.reporter import Reporter, format_number, say, use_reporter
+from metapp.runs.resolve import resolve
+from metapp.runs.spec import RunOptions, Spec, given_words
 from metapp.storage import Document
-from metapp.storage.fit_records import FitRecord, count_guarded, summary
+from metapp.storage.fit_folders import find_fit_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,11 +50,13 @@ MAX_LISTED_PATHS = 5  # exported files of one format, up to which each is listed
 MAX_LISTED_TASKS = 20  # tasks in the table of a run
 
 
-def fit_and_print(options: FitOptions, *, json: bool) -> None:
-    """Fit the inputs of options and print the results; the exit code is 1 if an input was not fitted.
+def fit_and_print(spec: Spec, options: RunOptions, paths: Sequence[Path], *, json: bool) -> None:
+    """Fit the inputs of a command and print the results; the exit code is 1 if an input was not fitted.
 
     Args:
-        options: the options of the fits.
+        spec: the specification of the fits, as the user gave it.
+        options: the options of the command.
+        paths: the inputs; none for the test tasks of a data set.
         json: whether an object is printed in place of tables.
 
     Raises:
@@ -51,174 +65,220 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
     """
     training = "the same command goes on with training where it stopped, and " if options.train else "the same command "
     state_what_interruption_keeps(f"{training}with --resume fits only the inputs that have no fit yet")
-    choice = find_and_choose(options)
-    if options.train:
-        from metapp.runs.checkpoint_training import train_and_load  # imported here, since most runs train nothing
-
-        report = execute(choice, train_and_load)
-    else:
-        report = execute(choice)
-    _print_report(report, json=json)
-    counted_failures = [failure for failure in report.failures if failure.fails_run]
+    if not options.train:
+        ranks.end_other_ranks()
+    silence = use_reporter(Reporter()) if ranks.rank_number() > 0 else contextlib.nullcontext()
+    with silence:
+        make_folder(options.out)
+        inputs = find(spec, paths, options.data, quiet=options.quiet)
+        specs, reasons = resolve(spec, inputs, trained=not options.train)
+        for line in reasons:
+            say(line)
+        if options.train:
+            specs = _train_checkpoint(specs, inputs, options)
+    is_named_data_set = inputs[0].format == DATA_SET_FORMAT and bool(options.data or paths)
+    run_folder = options.out / spec.app / given_words(spec, specs[0].data if is_named_data_set else "")
+    fitters = make_fitters(specs)
+    if not options.quiet:
+        say(_introduction(fitters))
+    fitted_before = {one.place for one in inputs if find_fit_folder(run_folder, one.name, one.place)}
+    begin = time.perf_counter()
+    outcomes = list(fit_and_keep(fitters, inputs, run_folder, options))
+    seconds = time.perf_counter() - begin
+    order = {one.place: number for number, one in enumerate(inputs)}  # fits side by side end in another order
+    fits = sorted((one for one in outcomes if isinstance(one, Fit)), key=lambda fit: order.get(fit.source, len(order)))
+    failures = [outcome for outcome in outcomes if isinstance(outcome, Failure)]
+    if not fits:
+        introduction = f"none of {len(inputs)} inputs could be fitted; the first: " if len(inputs) > 1 else ""
+        raise ValueError(f"{introduction}{failures[0].reason}")
+    new_count = sum(not fit.is_earlier for fit in fits)
+    rate = new_count / seconds if new_count else None  # tasks a second, with reading, pictures and exports
+    if not options.quiet:
+        _print_fits(fits, run_folder, options, rate, table=not json)
+        if replaced := sum(not fit.is_earlier and fit.source in fitted_before for fit in fits):
+            say(f"{replaced} of {len(fits)} fits and their pictures replace earlier ones; --resume keeps earlier fits")
+    for failure in failures:
+        prefix = "failed" if failure.fails_run else "warning: skipped"
+        say(f"{prefix}: {shorten_to_line(failure.reason)}")
+    if json:
+        print_json(_make_document(fits, failures, run_folder, rate))
+    counted_failures = [failure for failure in failures if failure.fails_run]
     unwritten = sum(failure.is_fit_kept for failure in counted_failures)
     if failed := len(counted_failures) - unwritten:
-        say(f"error: {failed} of {failed + len(report.records)} inputs were not fitted.")
+        say(f"error: {failed} of {failed + len(fits)} inputs were not fitted.")
     if unwritten:
         say(f"error: {unwritten} export{'s were' if unwritten > 1 else ' was'} not written; all fits are kept.")
     if counted_failures:
         raise typer.Exit(Exit.FAILED)
 
 
-def _print_report(report: RunReport, *, json: bool) -> None:
-    """Print the table of a run or its object, its folder, and its failures."""
-    choice, records = report.fitter.choice, report.records
-    presenter, paradigm = choice.presenter, choice.paradigm.name
-    if not choice.options.quiet:
-        if not json:
-            if len(records) > 1:
-                rate = report.tasks_per_second
-                standard_output().print(fits_table(presenter, paradigm, records, rate=rate, most=MAX_LISTED_TASKS))
-            else:
-                standard_output().print(fit_line(presenter, records[0]), soft_wrap=True)
-                for remark in _describe_guard(paradigm, records):
-                    say(remark)
-        is_relief_changed = "relief" in choice.options.app_options.non_default_values()
-        for line in (*report.remarks, *relief_lines(records, changed=is_relief_changed)):
-            say(line)
-        if skipped := report.earlier_count:
-            line = f"{skipped} of {len(records)} inputs are skipped, since they have a fit by equal settings"
-            has_file_options = choice.options.exports or presenter.size
-            say(f"{line}; metapp export writes other files of these fits" if has_file_options else line)
-        if replaced := report.replaced_count:
-            fits = f"{replaced} of {len(records)} fits and their pictures"
-            say(f"{fits} replace earlier ones; --resume keeps earlier fits")
-        for line in _describe_exports(report.exports):
-            say(line)
-        say(f"fits: {report.path}")
-        if "view" in registry().commands:
-            say(f"to look at: metapp view {shlex.quote(str(report.path))}")
-    for failure in report.failures:
-        prefix = "failed" if failure.fails_run else "warning: skipped"
-        say(f"{prefix}: {shorten_to_line(failure.reason)}")
-    if json:
-        print_json(_make_document(report))
+def _train_checkpoint(specs: Sequence[Spec], inputs: Sequence[Input], options: RunOptions) -> list[Spec]:
+    """Train the checkpoint that the fits of all inputs need, and return their specifications with it.
+
+    Raises:
+        BadOption: inputs need different checkpoints.
+    """
+    from metapp.runs.checkpoint_training import train  # imported here, since most runs train nothing
+
+    different = {(spec.recipe, spec.observe): spec for spec in specs}
+    if len(different) > 1:
+        needs = ", ".join(" ".join(filter(None, words)) for words in different)
+        raise BadOption(f"--train: inputs need checkpoints of {needs}, expected one; name --recipe, or give less.")
+    folders = [Path(one.path) for one in inputs if one.format == DATA_SET_FORMAT]
+    data = options.data or next((folder for folder in folders if not is_embedded(folder)), None)
+    path = train(specs[0], replace(options, data=data)).absolute()
+    trained, _ = resolve(replace(specs[0], checkpoint=path), inputs)
+    return trained
 
 
-def _make_document(report: RunReport) -> Document:
-    """Make the object that --json prints."""
-    settings, records = report.store.settings.document(), report.records
-    setting_keys = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
-    conditions = report.fitter.choice.app.recorded_conditions()
+def _introduction(fitters: Sequence[Fitter]) -> str:
+    """Return the line that says what is fitted, in how many steps, and where fits begin."""
+    names = " and ".join(dict.fromkeys(fitter.app.full_name for fitter in fitters))
+    steps = " or ".join(dict.fromkeys(str(fitter.method.steps) for fitter in fitters))
+    different = {id(fitter): fitter for fitter in fitters}.values()
+    begins = " or ".join(dict.fromkeys(describe_checkpoint(*fitter[:3]) for fitter in different))
+    size = fitters[0].presenter.size
+    files = "; files of {:,} rows, {:,} columns".format(*size) if size else ""
+    count = f"{len(fitters)} input{'s' * (len(fitters) != 1)}"
+    return f"{names} {fitters[0].spec.paradigm}: {count}; {steps} steps, from {begins}{files}"
+
+
+def _print_fits(fits: Sequence[Fit], run_folder: Path, options: RunOptions, rate: float | None, *, table: bool) -> None:
+    """Print the table of a run or the line of its only fit, and where its files are.
+
+    Args:
+        fits: the fits, in the order of the inputs.
+        run_folder: the folder of the run.
+        options: the options of the command.
+        rate: tasks that were fitted per second; None if all fits were there before.
+        table: whether the figures of fits are printed.
+    """
+    if table and len(fits) > 1:
+        standard_output().print(fits_table(fits, rate=rate, most=MAX_LISTED_TASKS))
+    elif table:
+        standard_output().print(fit_line(fits[0]), soft_wrap=True)
+        for remark in _describe_guard(fits):
+            say(remark)
+    for line in relief_lines(fits, changed="relief" in fits[0].spec.options):
+        say(line)
+    if skipped := sum(fit.is_earlier for fit in fits):
+        line = f"{skipped} of {len(fits)} inputs are skipped, since they have a fit by equal settings"
+        say(f"{line}; metapp export writes other files of these fits" if options.exports else line)
+    for line in _describe_exports(fits, options.exports):
+        say(line)
+    place = fits[0].folder if len(fits) == 1 else run_folder
+    say(f"fits: {place}")
+    if "view" in registry().commands:
+        say(f"to look at: metapp view {shlex.quote(str(place))}")
+
+
+def _make_document(fits: Sequence[Fit], failures: Sequence[Failure], run_folder: Path, rate: float | None) -> Document:
+    """Make the object that --json prints; see :func:`_print_fits` for the arguments."""
+    spec = fits[0].spec
+    common = {name: getattr(spec, name) for name in ("app", "observe", "paradigm", "steps", "device", "data")}
     return {
-        **{key: settings[key] for key in (*setting_keys, *conditions) if key in settings},
-        **summary(records),
-        "scale": report.fitter.choice.app.error_measure.scale,
-        "guarded": count_guarded(records),
-        "tasks": [_task_document(record) for record in records],
-        "tasks_per_second": report.tasks_per_second,
-        "failures": [{"source": failure.place, "reason": failure.reason} for failure in report.failures],
-        "out": str(report.store.path),
+        **{name: value for name, value in common.items() if value != ""},
+        **{"rule": fits[0].rule},
+        **spec.conditions,
+        **summarise(fits),
+        "scale": fits[0].scale,
+        "guarded": count_guarded(fits),
+        "tasks": [_task_document(fit) for fit in fits],
+        "tasks_per_second": rate,
+        "failures": [{"source": failure.place, "reason": failure.reason} for failure in failures],
+        "out": str(run_folder),
     }
 
 
-def _task_document(record: FitRecord) -> Document:
+def _task_document(fit: Fit) -> Document:
     """Return what --json prints of a fit."""
-    stored = record.document()
-    shown: Document = {key: stored[key] for key in ("name", "error", "photo_error") if key in stored}
-    shown |= {key: record.figures[key] for key in ("mean_tilt_degrees", LEFT_OUT_FIGURE) if key in record.figures}
-    shown |= {key: stored[key] for key in ("seconds", "counts", "note", "warning") if key in stored}
-    return shown | {"folder": record.folder}
+    figures = {key: fit.figures[key] for key in ("mean_tilt_degrees", LEFT_OUT_FIGURE) if key in fit.figures}
+    shown = {"photo_error": fit.photo_error, **figures, "seconds": fit.seconds, "counts": fit.counts}
+    shown |= {"note": fit.note, "warning": fit.warning}
+    set_entries = {key: value for key, value in shown.items() if value not in (None, "", {})}
+    return {"name": fit.name, "error": fit.error, **set_entries, "folder": str(fit.folder)}
 
 
-def relief_lines(records: Sequence[FitRecord], *, changed: bool = False) -> list[str]:
+def relief_lines(fits: Sequence[Fit], *, changed: bool = False) -> list[str]:
     """Return a line about normals that fits found in photographs; [] if they found none.
 
     If steep normals were found in one photograph, it says that dents may be bumps: both look alike under one flash.
 
     Args:
-        records: records of the fits.
+        fits: the fits.
         changed: whether --relief gives exported slopes another factor.
     """
-    tilts = [record.figures["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record.figures]
+    tilts = [fit.figures["mean_tilt_degrees"] for fit in fits if "mean_tilt_degrees" in fit.figures]
     if not tilts:
         return []
     mean = f"mean tilt {statistics.median(tilts):.1f} degrees"
     mean += f", median of {len(tilts)}, up to {max(tilts):.1f}" if len(tilts) > 1 else ""
     mean += ", without --relief" if changed else ""
-    of_one_photo = [record.figures for record in records if record.counts.get("photos", 1) == 1]
+    of_one_photo = [fit.figures for fit in fits if fit.counts.get("photos", 1) == 1]
     if max((figures.get("mean_tilt_degrees", 0.0) for figures in of_one_photo), default=0.0) >= VISIBLE_TILT_DEGREES:
         mean += "; one photo cannot tell dents from bumps, several photos of one place do: metapp data rectify PHOTOS"
     return [f"relief: {mean}"]
 
 
-def fit_line(presenter: Presenter[Any], record: FitRecord) -> str:
+def fit_line(fit: Fit) -> str:
     """Return a sentence on a fit: the number of pictures, its error, and the seconds of the whole command."""
-    app, count = presenter.app, len([*Path(record.folder).glob("*.png")])
-    if record.error is not None:
-        error = f"error{app.error_measure.factor} {record.error:.3f} ({app.error_measure.text})"
-    elif LEFT_OUT_FIGURE in record.figures and record.photo_error is not None:
-        psnr_db = record.figures[LEFT_OUT_FIGURE]
-        error = f"photos that were left out are predicted to {psnr_db:.1f} dB, {record.photo_error:.2f} %"
-    elif record.photo_error is not None:
-        error = f"photo error {record.photo_error:.2f} % ({PHOTO_ERROR_TEXT})"
+    app, count = fit.app, len([*fit.folder.glob("*.png")])
+    if fit.error is not None:
+        error = f"error{app.error_measure.factor} {fit.error:.3f} ({app.error_measure.text})"
+    elif LEFT_OUT_FIGURE in fit.figures and fit.photo_error is not None:
+        psnr_db = fit.figures[LEFT_OUT_FIGURE]
+        error = f"photos that were left out are predicted to {psnr_db:.1f} dB, {fit.photo_error:.2f} %"
+    elif fit.photo_error is not None:
+        error = f"photo error {fit.photo_error:.2f} % ({PHOTO_ERROR_TEXT})"
     else:
-        error = presenter.caption(measured=False)
+        error = fit.presenter.caption(measured=False)
     pictures = [f"{count} picture{'s' * (count != 1)}"] if count else []
-    name, seconds = escape_control_characters(record.name), f"{command_seconds():.1f} s in all"
+    name, seconds = escape_control_characters(fit.name), f"{command_seconds():.1f} s in all"
     return f"{name}: {', '.join([*pictures, error, seconds])}"
 
 
-def _describe_exports(exports: Sequence[tuple[str, Path]]) -> Iterator[str]:
-    """Yield a line for each exported file; many files of one format share a line."""
-    by_form: dict[str, list[Path]] = {}
-    for form, file in exports:
-        by_form.setdefault(form, []).append(file)
-    for form, files in by_form.items():
+def _describe_exports(fits: Sequence[Fit], forms: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each exported file of new fits; many files of one format share a line."""
+    for form in forms:
+        paths = [export_path(fit.folder, form) for fit in fits if not fit.is_earlier]
+        files = [file_to_open(path) for path in paths if path.parent.is_dir()]
         if len(files) > MAX_LISTED_PATHS:
             yield f"{form}: {len(files)} files, the first is {files[0]}"
         else:
             yield from (f"{form}: {file}" for file in files)
 
 
-def _describe_guard(paradigm: str, records: Sequence[FitRecord]) -> list[str]:
+def _describe_guard(fits: Sequence[Fit]) -> list[str]:
     """Return a line about the guard of a learned rule, if it acted; else []."""
-    count = count_guarded(records)
+    count = count_guarded(fits)
     if not count:
         return []
     from metapp.evaluation.rows import fit_remarks  # imported here, since it imports more than a table of fits needs
 
-    return fit_remarks([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
+    return fit_remarks([{"paradigm": fits[0].spec.paradigm, "tasks": len(fits), "guarded": count}])
 
 
-def fits_table(
-    presenter: Presenter[Any],
-    paradigm: str,
-    records: Sequence[FitRecord],
-    *,
-    rate: float | None = None,
-    most: int | None = None,
-) -> Table:
-    """Make a table with a line for each task, or for the tasks of the largest errors, and with means in its last line.
+def fits_table(fits: Sequence[Fit], *, rate: float | None = None, most: int | None = None) -> Table:
+    """Make a table with a line for each fit, or for the fits of the largest errors, and with means in its last line.
 
-    If tasks have no error, as photographs have none, the table says how many pictures were made instead.
+    If fits have no error, as those of photographs have none, the table says how many pictures were made instead.
 
     Args:
-        presenter: the application's presenter.
-        paradigm: the name of the paradigm.
-        records: records of all tasks.
+        fits: the fits.
         rate: tasks that were fitted per second; None if it is not to be said.
-        most: the most tasks to list; None for all.
+        most: the most fits to list; None for all.
     """
     from rich.table import Table  # imported here, as it takes 10 ms, and a single fit has no table
 
-    remarks = _describe_guard(paradigm, records)
-    listed_records = records
-    if most is not None and len(records) > most:
-        listed_records = sorted(records, key=lambda record: -(record.error or 0.0))[:most]
-        remarks.insert(0, f"{most} of {len(records)} tasks are listed, those of the largest errors")
+    presenter, paradigm = fits[0].presenter, fits[0].spec.paradigm or fits[0].spec.conditions.get("method", "")
+    remarks = _describe_guard(fits)
+    listed = fits
+    if most is not None and len(fits) > most:
+        listed = sorted(fits, key=lambda fit: -(fit.error or 0.0))[:most]
+        remarks.insert(0, f"{most} of {len(fits)} tasks are listed, those of the largest errors")
     if rate is not None:
         remarks.insert(0, f"{rate:.4g} tasks/s, with reading and pictures included")
-    totals = summary(records)
+    totals = summarise(fits)
     has_errors = totals["error"] is not None
     if "photo_error" in totals:
         remarks.insert(0, f"photo error: {PHOTO_ERROR_TEXT}")
@@ -235,15 +295,13 @@ def fits_table(
     if "photo_error" in totals:
         table.add_column("photo error %", format_number(totals["photo_error"], ".2f"), justify="right")
     table.add_column("seconds", format_number(totals["seconds"], ".4f"), justify="right")
-    picture_counts = (
-        {} if has_errors else {record.name: len([*Path(record.folder).glob("*.png")]) for record in listed_records}
-    )
+    picture_counts = {} if has_errors else {fit.name: len([*fit.folder.glob("*.png")]) for fit in listed}
     if any(picture_counts.values()):
         table.add_column("pictures", justify="right")
-    for record in listed_records:
-        cells = [format_number(record.error, ".3f")] if has_errors else []
-        cells += [format_number(record.photo_error, ".2f")] if "photo_error" in totals else []
-        cells.append(format_number(record.seconds, ".4f"))
-        cells += [f"{picture_counts[record.name]}"] if any(picture_counts.values()) else []
-        table.add_row(Text(escape_control_characters(record.name)), *cells)
+    for fit in listed:
+        cells = [format_number(fit.error, ".3f")] if has_errors else []
+        cells += [format_number(fit.photo_error, ".2f")] if "photo_error" in totals else []
+        cells.append(format_number(fit.seconds, ".4f"))
+        cells += [f"{picture_counts[fit.name]}"] if any(picture_counts.values()) else []
+        table.add_row(Text(escape_control_characters(fit.name)), *cells)
     return table

@@ -1,7 +1,7 @@
-"""An evaluation: one application, whose fits all see the same, on one data set, with the records of its fits.
+"""An evaluation: one application, whose fits all see the same, on one data set, with its fits.
 
-Tables and figures ask an :class:`EvaluationRun` for records, so that a fit is read where it was made before, is made
-once where it is missing, and is kept. The module knows neither what a table shows nor how it is printed.
+Tables and figures ask an :class:`EvaluationRun` for fits, so that a fit is read where it was made before, is made once
+where it is missing, and is kept. The module knows neither what a table shows nor how it is printed.
 """
 
 from __future__ import annotations
@@ -12,62 +12,67 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from msgspec import structs
-
 from metapp.evaluation.table import Table
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import Checkpoint, find_checkpoint
-from metapp.runs.choice import Choice, find_and_choose
-from metapp.runs.data_sets.embedded import has_embedded_tests, is_embedded
+from metapp.runs.data_sets.embedded import has_embedded_tests, is_embedded, make_embedded_test_set
 from metapp.runs.environment import make_folder, torch_defaults
-from metapp.runs.fitter import Fitter
-from metapp.runs.inputs.run_inputs import read_test_tasks, task_digest
-from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
+from metapp.runs.fit import Fit
+from metapp.runs.fit_pictures import tiles_of_methods, write_comparison_sheet
+from metapp.runs.fitting import Fitter, fit_tasks_of
+from metapp.runs.inputs.finding import DATA_SET_FORMAT, content_of, data_label, find_in_data_set
+from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS
 from metapp.runs.reporter import progress, say
-from metapp.storage.files import content_digest
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import FitStore
+from metapp.runs.resolve import app_of, complete, presenter_of, recipe_of
+from metapp.runs.spec import RunOptions, Spec, given_words
+from metapp.runs.stored_fits import read_fits_of_spec
 
 # gradient steps; Meta and QuickFT take fewer, while Overfit and Finetune take more, and most of the time of a table
 LONG_FIT_STEPS = 30
 LONG_FIT_TASKS = 2  # test tasks that are fitted by more than LONG_FIT_STEPS steps, unless the user asks for all
 
-RecordMeasurement = Callable[[list[Task]], Iterator[tuple[FitRecord, Params | None]]]
+MeasureTasks = Callable[[list[Task]], Iterator[Fit]]
 
 
 class EvaluationRun:
-    """An application, whose fits all see the same, on a data set, with the records of its fits.
+    """An application, whose fits all see the same, on a data set, with its fits.
 
     A "row of the results" is a paradigm, or "meta:<rule>" for a further learned rule that has a checkpoint.
 
     Attributes:
-        choice: General's choice, with the options of the command; other rows differ in paradigm, rule or steps.
+        given: the specification as the command gives it; rows differ in paradigm, rule or steps.
+        options: the options of the command.
         app: the network of the fits, what they see and how they are judged.
         presenter: the application's presenter, which draws its fits.
         title: the application's title in tables and pictures.
-        is_measuring: whether missing records are measured when a table asks for them.
+        is_measuring: whether missing fits are made when a table asks for them.
         whole: whether all rows cover all test tasks; otherwise rows of more than LONG_FIT_STEPS steps cover fewer.
         long_fit_tasks: the number of test tasks in these rows.
-        choices: the choice of each row of the results, by the row's name.
+        specs: the complete specification of each row of the results, by the row's name.
         fitters: what fits the tasks of these rows; a row whose checkpoint is missing has none.
         tasks: the test tasks; empty if nothing is to be measured and the embedded data set was never drawn.
-        label: the data set's name in run folders.
-        requested: tasks that tables asked for and records of these tasks, by the title of the records.
+        label: the label of the data set.
+        requested: tasks that tables asked for and fits of these tasks, by the title of the fits.
     """
 
     def __init__(
-        self, choice: Choice, *, is_measuring: bool, whole: bool = True, long_fit_tasks: int = LONG_FIT_TASKS
+        self,
+        given: Spec,
+        options: RunOptions,
+        *,
+        is_measuring: bool,
+        whole: bool = True,
+        long_fit_tasks: int = LONG_FIT_TASKS,
     ) -> None:
         """Read all checkpoints, then the tasks, so that a missing checkpoint is found before any fit.
 
         Args:
-            choice: General's choice, with the options of the command.
-            is_measuring: whether missing records are measured when a table asks for them.
+            given: the specification as the command gives it.
+            options: the options of the command.
+            is_measuring: whether missing fits are made when a table asks for them.
             whole: whether all rows cover all test tasks.
             long_fit_tasks: the number of test tasks in rows of long fits, unless `whole`.
 
@@ -75,42 +80,52 @@ class EvaluationRun:
             ValueError: a checkpoint that fits need is missing. If nothing is measured, the message is printed instead,
                 and the rows of this checkpoint stay empty.
         """
-        self.choice, self.app, self.presenter = choice, choice.app, choice.presenter
-        self.title = choice.presenter.title
+        application = given.application
+        general = complete(replace(given, paradigm="general"), trained=False)
+        self.given, self.options, self.app = given, options, app_of(general)
+        self.presenter = presenter_of(general, self.app)
+        self.title = self.presenter.title
         self.is_measuring, self.whole, self.long_fit_tasks = is_measuring, whole, long_fit_tasks
-        self.requested: dict[str, tuple[list[Task], list[FitRecord]]] = {}
+        self.requested: dict[str, tuple[list[Task], list[Fit]]] = {}
         self._tables: dict[str, Table] = {}
-        options = choice.options
-        self.choices: dict[str, Choice] = {}
-        checkpoints: dict[str, Checkpoint] = {}
+        self.specs: dict[str, Spec] = {}
+        self.fitters: dict[str, Fitter] = {}
         for name in PARADIGMS:
-            self.choices[name] = find_and_choose(replace(options, paradigm=name, steps=None))
+            self.specs[name] = complete(self.given_row(name), trained=False)
             try:
-                checkpoints[name] = find_checkpoint(self.choices[name])
+                self.fitters[name] = Fitter.of(complete(self.given_row(name)))
             except ValueError as error:
                 if is_measuring:
                     raise
                 say(f"{error}")
         # the checkpoints that ship for further rules were not trained on the user's data: their rows would say little
-        rules = choice.recipe.meta if options.checkpoint or not options.data else ()
-        for rule in (rule for rule in rules if rule != options.rule):
-            rule_choice = find_and_choose(replace(options, paradigm="meta", rule=rule))
+        rules = recipe_of(general).meta if given.checkpoint or not options.data else ()
+        for name in (f"meta:{rule}" for rule in rules if rule != self.specs["meta"].rule):
             with suppress(ValueError):  # no checkpoint was trained by this rule
-                checkpoints[f"meta:{rule}"] = find_checkpoint(rule_choice)
-                self.choices[f"meta:{rule}"] = rule_choice
+                self.fitters[name] = Fitter.of(complete(self.given_row(name)))
+                self.specs[name] = self.fitters[name].spec
         make_folder(options.out)
         self.tasks: list[Task] = []
-        self.label = "none"
-        if is_measuring or options.data or has_embedded_tests(choice.application):
-            self.tasks, self.label = read_test_tasks(choice.application, choice.app, options.data, options.quiet)
+        self.label, self.data_folder = "none", options.data
+        if is_measuring or options.data or has_embedded_tests(application):
+            self.data_folder = options.data or make_embedded_test_set(application, options.quiet)
+            self.tasks = [one.read_task(general, self.app) for one in find_in_data_set(general, self.data_folder)]
+            self.label = data_label(self.data_folder)
+        self.specs = {name: replace(spec, data=self.label) for name, spec in self.specs.items()}
         self.fitters = {
-            name: Fitter(self.choices[name], checkpoint, self.label) for name, checkpoint in checkpoints.items()
+            name: fitter._replace(spec=replace(fitter.spec, data=self.label)) for name, fitter in self.fitters.items()
         }
+
+    def given_row(self, name: str) -> Spec:
+        """Return the specification of a row of the results as a user would give it."""
+        paradigm, _, rule = name.partition(":")
+        is_learned = PARADIGMS[paradigm].has_learned_rule
+        return replace(self.given, paradigm=paradigm, rule=(rule or self.given.rule) if is_learned else "")
 
     @property
     def observes_default(self) -> bool:
         """Whether fits see what they see by default, as the paper's do."""
-        return self.app.observes == self.choice.application.default_observation
+        return self.app.observes == self.given.application.default_observation
 
     @functools.cached_property
     def has_paper_figures(self) -> bool:
@@ -118,7 +133,7 @@ class EvaluationRun:
 
         Errors on a user's own data say nothing beside errors on other data.
         """
-        data = self.choice.options.data
+        data = self.options.data
         return self.observes_default and (data is None or is_embedded(data))
 
     @property
@@ -126,9 +141,13 @@ class EvaluationRun:
         """The group of each task, by the task's name; tasks of one group show the same thing."""
         return {task.name: task.group or task.name for task in self.tasks}
 
+    def steps(self, name: str) -> int:
+        """Return the number of gradient steps of a row of the results."""
+        return self.specs[name].steps or 0
+
     def tasks_of(self, name: str) -> list[Task]:
         """Return the test tasks of a row of the results."""
-        if self.whole or self.choices[name].paradigm.steps <= LONG_FIT_STEPS:
+        if self.whole or self.steps(name) <= LONG_FIT_STEPS:
             return self.tasks
         return select_evenly(self.tasks, self.long_fit_tasks)
 
@@ -143,139 +162,139 @@ class EvaluationRun:
             self._tables[name] = make(self)
         return self._tables[name]
 
-    def records(self, name: str) -> list[FitRecord]:
-        """Return the records of a row of the results, kept where the paradigm's command keeps them."""
-        return self.fit_records(name, self.fitters.get(name), self.tasks_of(name))
-
-    def existing_records(self, name: str) -> list[FitRecord]:
-        """Return the records of a row of the results that exist; nothing is measured."""
-        _, records = self.requested.get(name) or (
-            (),
-            _read_records(self._store(self.fitters.get(name)), self.tasks_of(name)),
-        )
-        return records
-
-    def fit_records(
-        self, title: str, fitter: Fitter | None, tasks: list[Task], settings: Mapping[str, Any] = MappingProxyType({})
-    ) -> list[FitRecord]:
-        """Fit tasks where records are missing, and return all records.
+    def folder(self, kind: str, given: Spec | None = None) -> Path:
+        """Return the folder of fits, or of records of a kind, by the words by which they were asked for.
 
         Args:
-            title: the name of these records in progress lines.
-            fitter: what fits the tasks; None if its checkpoint is missing, so that there are no records.
-            tasks: the tasks to fit.
-            settings: further settings of fits that no command makes, such as those of the ablation.
+            kind: the kind of the records, which stands in place of the paradigm; "" for fits.
+            given: the specification of fits as a user would give it; None for General's.
         """
-        steps = fitter.choice.paradigm.steps if fitter else 0
+        label = self.label if self.options.data else ""
+        words = given_words(replace(given or self.given, paradigm=kind or (given or self.given).paradigm), label)
+        return self.options.out / self.app.name / words
 
-        def measure(tasks: list[Task]) -> Iterator[tuple[FitRecord, Params | None]]:
-            assert fitter is not None  # without a fitter there is no store, and nothing is measured
-            return ((fit.record, fit.parameters) for fit in fitter.fit_one_by_one(tasks))
+    def fits(self, name: str) -> list[Fit]:
+        """Return the fits of a row of the results, made where they are missing."""
+        return self.fits_by(name, self.folder("", self.given_row(name)), self.fitters.get(name), self.tasks_of(name))
 
-        return self.measure_records(title, self._store(fitter, settings), measure, tasks, steps)
+    def existing_fits(self, name: str) -> list[Fit]:
+        """Return the fits of a row of the results that exist; nothing is measured."""
+        if name in self.requested or name not in self.fitters:
+            return self.requested.get(name, ((), []))[1]
+        return self._read(self.folder("", self.given_row(name)), self.fitters[name].spec, self.tasks_of(name))
 
-    def _store(self, fitter: Fitter | None, settings: Mapping[str, Any] = MappingProxyType({})) -> FitStore | None:
-        """Return the folder of a fitter's fits; None without a fitter."""
-        if fitter is None:
-            return None
-        if not settings:
-            return fitter.store
-        choice, digest = fitter.choice, fitter.checkpoint.digest
-        entries = fitter.settings.document() | dict(settings)
-        path = choice.folder(self.label, choice.paradigm.name, digest)
-        return FitStore(path, Settings.of(entries), timed=True)
-
-    def measure_records(
-        self, title: str, store: FitStore | None, measure: RecordMeasurement, tasks: list[Task], steps: int = 0
-    ) -> list[FitRecord]:
-        """Measure missing records of tasks, each kept as soon as its task is done, and return all in the tasks' order.
+    def fits_by(self, title: str, folder: Path, fitter: Fitter | None, tasks: list[Task]) -> list[Fit]:
+        """Fit tasks where fits are missing, and return all fits.
 
         Args:
-            title: the name of these records in progress lines and in `requested`.
-            store: the folder of these records; None if they cannot be measured, as a checkpoint is missing.
-            measure: yields for each of the given tasks its record, and parameters to keep beside it or None. It may end
-                early.
-            tasks: the tasks whose records are wanted.
+            title: the name of these fits in progress lines.
+            folder: the folder of the fits.
+            fitter: what fits the tasks; None if its checkpoint is missing, so that there are no fits.
+            tasks: the tasks to fit.
+        """
+        if fitter is None:
+            return self.measure(title, folder, None, lambda tasks: iter(()), tasks)
+        return self.measure(
+            title,
+            folder,
+            fitter.spec,
+            lambda tasks: (fit for task in tasks for fit in fit_tasks_of(fitter, [task])),
+            tasks,
+            fitter.method.steps,
+        )
+
+    def measure(
+        self, title: str, folder: Path, spec: Spec | None, measure: MeasureTasks, tasks: list[Task], steps: int = 0
+    ) -> list[Fit]:
+        """Measure tasks that have no fit yet, each kept as soon as it is done, and return all fits in the tasks' order.
+
+        Args:
+            title: the name of these fits in progress lines and in `requested`.
+            folder: the folder of these fits.
+            spec: their specification; None if they cannot be measured, as a checkpoint is missing.
+            measure: yields for each of the given tasks its fit. It may end early.
+            tasks: the tasks whose fits are wanted.
             steps: about how many gradient steps a task takes; the progress counts them.
         """
         if title in self.requested:
             return self.requested[title][1]
-        records = _read_records(store, tasks)
-        names = {record.name for record in records}
+        fits = self._read(folder, spec, tasks) if spec else []
+        names = {fit.name for fit in fits}
         missing = [task for task in tasks if task.name not in names]
-        if store and missing and self.is_measuring:
+        if spec and missing and self.is_measuring:
             row_name, task_steps, total = f"{self.app.full_name} {title}", steps + 1, (steps + 1) * len(missing)
-            bars = progress("evaluate", total, long=True, quiet=self.choice.options.quiet)
+            bars = progress("evaluate", total, long=True, quiet=self.options.quiet)
             with bars as bar, torch_defaults(single=self.app.small_tensors):
                 bar.set_done(0, total, row_name)
-                for count, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    origin = self.choice.origin(())
-                    store.write(structs.replace(record, content=task_digest(task), origin=origin), tensors)
+                for count, (task, fit) in enumerate(zip(missing, measure(missing), strict=False), 1):
+                    fit.spec, fit.format, fit.content = spec, DATA_SET_FORMAT, content_of(task)
+                    fit.inputs = [str(self.data_folder.absolute())] if self.data_folder else []
+                    fit.keep(folder)
                     bar.set_done(task_steps * count, total, f"{row_name} {task.name}")
-            records = _read_records(store, tasks)
-            if not self.choice.options.quiet:
-                say(f"{row_name}: {_summarise(records)}")
-        self.requested[title] = tasks, records
-        return records
+            fits = self._read(folder, spec, tasks)
+            if not self.options.quiet:
+                say(f"{row_name}: {_summarise(fits)}")
+        self.requested[title] = tasks, fits
+        return fits
 
-    def record_store(
-        self, kind: str, settings: Settings, figures: Collection[str], rows: Collection[str] = ()
-    ) -> FitStore | None:
-        """Return the folder of records that are no fits: <out>/<app>/<kind>, with the options that were given.
+    def _read(self, folder: Path, spec: Spec, tasks: list[Task]) -> list[Fit]:
+        """Return the fits of tasks that a folder holds, in the tasks' order."""
+        finished = read_fits_of_spec(folder, spec)
+        fits = [(task, finished[task.name]) for task in tasks if task.name in finished]
+        for task, fit in fits:
+            fit.name, fit.task = task.name, task
+        return [fit for _, fit in fits]
+
+    def spec_of_kind(self, kind: str, conditions: Mapping[str, Any], rows: Collection[str] = ()) -> Spec | None:
+        """Return the specification of records that are no fits by a paradigm, such as traces.
 
         Args:
-            kind: the kind of these records, such as "trace".
-            settings: all settings that the records' figures depend on.
-            figures: the names of the figures that each record must have.
+            kind: the kind of these records.
+            conditions: all that the records' figures depend on.
             rows: rows of the results whose fits the records are made of.
 
         Returns:
-            The folder; None if one of the rows has no checkpoint.
+            The specification; None if one of the rows has no checkpoint.
         """
         if not all(name in self.fitters for name in rows):
             return None
-        digests = [content_digest(self.fitters[name].settings.document()) for name in rows]
-        further = settings.further | ({"fits": digests} if rows else {})
-        return FitStore(self.choice.folder(self.label, kind), structs.replace(settings, further=further), figures)
+        fits = {"fits": [self.fitters[name].spec.key for name in rows]} if rows else {}
+        conditions = {"method": kind, **conditions, **fits}
+        recipe, observe = self.specs["general"].recipe, self.app.observes
+        return Spec(
+            app=self.app.name, paradigm="", observe=observe, recipe=recipe, data=self.label, conditions=conditions
+        )
 
-    def draw_fits(self, kind: str, fits: Mapping[str, list[FitRecord]]) -> Path | None:
+    def draw_fits(self, kind: str, fits: Mapping[str, list[Fit]]) -> Path | None:
         """Draw fits of several methods side by side, for the test tasks that all methods fitted.
 
         Args:
             kind: the kind of the picture, which its file is named by.
-            fits: the records of each method, by the method's name.
+            fits: the fits of each method, by the method's name.
 
         Returns:
             The path of the picture; None if no task was fitted by all methods.
         """
-        by_method = {name: {record.name: record for record in records} for name, records in fits.items() if records}
-        common = [task for task in self.tasks if all(task.name in records for records in by_method.values())]
+        by_method = {name: {fit.name: fit for fit in method_fits} for name, method_fits in fits.items() if method_fits}
+        common = [task for task in self.tasks if all(task.name in fits for fits in by_method.values())]
         if not by_method or not common:
             return None
-        tiles, path = [], self.choice.folder(self.label, kind)
-        with progress(
-            f"pictures of {self.title}", len(common[:MAX_SHEET_ROWS]), quiet=self.choice.options.quiet
-        ) as bar:
-            for task in common[:MAX_SHEET_ROWS]:
-                task_fits = [(name, self.presenter, records[task.name]) for name, records in by_method.items()]
-                tiles.append(tiles_of_methods(task, task_fits))
+        tiles, path = [], self.folder(kind)
+        shown = common[:MAX_SHEET_ROWS]
+        with progress(f"pictures of {self.title}", len(shown), quiet=self.options.quiet) as bar:
+            for task in shown:
+                tiles.append(tiles_of_methods(task, [(name, fits[task.name]) for name, fits in by_method.items()]))
                 bar.advance()
         return write_comparison_sheet(self.presenter, tiles, path.with_name(f"{path.name}.png"))
 
 
-def _read_records(store: FitStore | None, tasks: list[Task]) -> list[FitRecord]:
-    """Return the records of tasks that a folder holds, in the tasks' order."""
-    finished = store.records() if store else {}
-    return [finished[task.name] for task in tasks if task.name in finished]
-
-
-def _summarise(records: list[FitRecord]) -> str:
+def _summarise(fits: list[Fit]) -> str:
     """Return the words that report a row as soon as it is measured, before the whole table is printed."""
-    errors = [record.error for record in records if record.error is not None]
-    seconds = [record.seconds for record in records if record.seconds is not None]
+    errors = [fit.error for fit in fits if fit.error is not None]
+    seconds = [fit.seconds for fit in fits if fit.seconds is not None]
     figures = [f"mean error {statistics.fmean(errors):.3f}"] if errors else []
     figures += [f"median {statistics.median(seconds):.4f} s"] if seconds else []
-    return ", ".join([*figures, f"{len(records)} task{'s' * (len(records) != 1)}"])
+    return ", ".join([*figures, f"{len(fits)} task{'s' * (len(fits) != 1)}"])
 
 
 def select_evenly(tasks: list[Task], count: int) -> list[Task]:

@@ -1,4 +1,4 @@
-"""Figures of an evaluation's records, and the report, which has them below its tables.
+"""Figures of an evaluation's fits, and the report, which has them below its tables.
 
 The module draws what tables and traces hold, and measures nothing itself.
 """
@@ -17,7 +17,7 @@ from matplotlib.ticker import NullLocator
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels, save_figure
 from metapp.evaluation.table import Table, format_tables
-from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, trace_records
+from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, traced_fits
 from metapp.registry import registry
 from metapp.storage.files import write_bytes
 
@@ -101,15 +101,15 @@ def draw_error_curves(evaluation: EvaluationRun) -> CaptionedFigure | None:
     Returns:
         The figure and its caption; None if nothing was traced, or if the tasks have no reference.
     """
-    records = trace_records(evaluation)
-    if not records or records[0].figures["curves"]["meta"][0][1] is None:
+    fits = traced_fits(evaluation)
+    if not fits or fits[0].figures["curves"]["meta"][0][1] is None:
         return None
     figure, axis = _make_panel(evaluation, 3.2, "gradient steps")
     axis.set_xscale("symlog", linthresh=1)
     axis.xaxis.set_minor_locator(NullLocator())
     last_errors = []
     for name in CURVE_PARADIGMS:
-        points_by_step = zip(*(record.figures["curves"][name] for record in records), strict=True)
+        points_by_step = zip(*(fit.figures["curves"][name] for fit in fits), strict=True)
         mean_errors = {points[0][0]: statistics.fmean(error for _, error in points) for points in points_by_step}
         marker_size, steps, errors = 7 if name == "meta" else 4, list(mean_errors), list(mean_errors.values())
         axis.plot(
@@ -124,7 +124,7 @@ def draw_error_curves(evaluation: EvaluationRun) -> CaptionedFigure | None:
     if axis.dataLim.y0 > 0:
         axis.set_yscale("log")
     figure.legend(loc="outside lower center", ncols=len(CURVE_PARADIGMS), columnspacing=1.0, handletextpad=0.4)
-    tasks = f"mean over {len(records)} tasks"
+    tasks = f"mean over {len(fits)} tasks"
     return figure, f"{evaluation.title}: error along the steps, {tasks}. In the end: {', '.join(last_errors)}."
 
 
@@ -132,7 +132,7 @@ FIGURE_FUNCTIONS = {"plane": draw_error_over_seconds, "curves": draw_error_curve
 
 
 def draw_figure(name: str, evaluation: EvaluationRun) -> CaptionedFigure | None:
-    """Draw the figure that FIGURE_FUNCTIONS has under a name; None if there is no record for it yet."""
+    """Draw the figure that FIGURE_FUNCTIONS has under a name; None if there is no fit for it yet."""
     with rc_context(FIGURE_STYLE):
         return FIGURE_FUNCTIONS[name](evaluation)
 
@@ -141,7 +141,7 @@ def write_figures(evaluations: Sequence[EvaluationRun], folder: Path) -> dict[Pa
     """Write all figures of evaluations as <app>-<name>.png and .pdf.
 
     Args:
-        evaluations: applications with their records.
+        evaluations: applications with their fits.
         folder: the folder to write to.
 
     Returns:
@@ -162,7 +162,7 @@ def write_report(evaluations: Sequence[EvaluationRun], folder: Path, tables: Map
     """Write the report `index.md`: tables, then figures, which are written beside it.
 
     Args:
-        evaluations: applications with their records.
+        evaluations: applications with their fits.
         folder: the folder to write to.
         tables: the tables of all applications, by the table's name.
 

@@ -1,4 +1,4 @@
-"""Rows of tables, made of records of fits, and sentences about rows.
+"""Rows of tables, made of fits, and sentences about rows.
 
 A row holds all that is known of a method; which of its entries a table shows is decided in
 :mod:`metapp.evaluation.table`. The paper's own figures come from the file `paper.json`.
@@ -23,9 +23,10 @@ from metapp.evaluation.error_statistics import (
 )
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Row
-from metapp.runs.fitter import LOSS_ROSE_CLAUSE
+from metapp.runs.fit import Fit
+from metapp.runs.fit_tables import count_guarded
+from metapp.runs.fitting import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
-from metapp.storage.fit_records import FitRecord, count_guarded
 
 # CPU seconds of fits over their seconds, below which a note says that other programs took the CPU: on an idle machine a
 # fit by one thread has 1.0
@@ -42,17 +43,17 @@ def paper_figures() -> Document:
 def make_row(
     evaluation: EvaluationRun,
     name: str,
-    records: Sequence[FitRecord],
+    fits: Sequence[Fit],
     entries: Row,
     compared_rows: Sequence[str] = (),
 ) -> Row:
-    """Make a row of records, with the statistics of their errors.
+    """Make a row of fits, with the statistics of their errors.
 
     Args:
-        evaluation: the application, with its tasks and records.
+        evaluation: the application, with its tasks and fits.
         name: the name of the row's method, such as a paradigm.
-        records: records of tasks; their entry `error` may hold another measure than the application's error.
-        entries: further entries. They replace figures of records that have the same names, such as `tasks`; but not the
+        fits: fits of tasks; their `error` may hold another measure than the application's error.
+        entries: further entries. They replace figures of fits that have the same names, such as `tasks`; but not the
             application's recorded conditions, nor the entries `vs_<name>`.
         compared_rows: names of rows of the results. For each there is an entry `vs_<name>`, the comparison of errors
             with that row's on the same tasks. It is None if the row would be compared with itself, or if
@@ -60,26 +61,26 @@ def make_row(
     """
     app, groups = evaluation.app, evaluation.groups
     # A warning is a list of clauses. If one says that the loss rose, it is the first; all others doubt the fit.
-    warnings = [record.warning.split("; ") for record in records if record.warning]
+    warnings = [fit.warning.split("; ") for fit in fits if fit.warning]
     measure_values = {
-        key: [value for record in records if (value := record.errors.get(key)) is not None]
+        key: [value for fit in fits if (value := fit.further_errors.get(key)) is not None]
         for key in app.error_measure.further
     }
-    seconds = [record.seconds for record in records if record.seconds is not None]
-    times = [(record.cpu_seconds, record.seconds) for record in records]
+    seconds = [fit.seconds for fit in fits if fit.seconds is not None]
+    times = [(fit.cpu_seconds, fit.seconds) for fit in fits]
     known_times = [(cpu, whole) for cpu, whole in times if cpu is not None and whole]
     row = {
         "app": app.name,
         "paradigm": name,
         **app.observation,
         "scale": app.error_measure.scale,
-        **summarise_errors(errors_by_task(records), groups),
+        **summarise_errors(errors_by_task(fits), groups),
         "seconds": statistics.median(seconds) if seconds else None,
-        "tasks": len(records),
+        "tasks": len(fits),
         "warnings": sum(clauses[0].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
         "doubtful": sum(not clauses[-1].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
-        "guarded": count_guarded(records),
-        "threads": ", ".join(map(str, sorted({record.threads for record in records if record.threads}))) or None,
+        "guarded": count_guarded(fits),
+        "threads": ", ".join(map(str, sorted({fit.threads for fit in fits if fit.threads}))) or None,
         "cpu_share": (
             sum(cpu for cpu, _ in known_times) / sum(whole for _, whole in known_times) if known_times else None
         ),
@@ -90,9 +91,9 @@ def make_row(
         **app.recorded_conditions(),
     }
     for compared_row in compared_rows:
-        other_errors = errors_by_task(evaluation.records(compared_row)) if compared_row != name else {}
+        other_errors = errors_by_task(evaluation.fits(compared_row)) if compared_row != name else {}
         row[f"vs_{compared_row}"] = compare_errors(
-            errors_by_task(records), other_errors, groups, logarithmic=app.error_measure.logarithmic
+            errors_by_task(fits), other_errors, groups, logarithmic=app.error_measure.logarithmic
         )
     return row
 
@@ -119,9 +120,9 @@ def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
     return {f"paper_{key}": paper_figure(evaluation, key, evaluation.app.name, name) for key in ("error", "seconds")}
 
 
-def errors_by_task(records: Sequence[FitRecord]) -> ErrorsByTask:
-    """Return errors by the name of the task; records whose error is None are left out."""
-    return {record.name: record.error for record in records if record.error is not None}
+def errors_by_task(fits: Sequence[Fit]) -> ErrorsByTask:
+    """Return errors by the name of the task; fits whose error is None are left out."""
+    return {fit.name: fit.error for fit in fits if fit.error is not None}
 
 
 # Sentences about rows
@@ -231,7 +232,7 @@ def _busy_machine_note(rows: Sequence[Row]) -> list[str]:
 
 def subset_note(evaluation: EvaluationRun) -> list[str]:
     """Return a note that explains the asterisk of rows which cover a subset of the test tasks; [] without such rows."""
-    subset_rows = [name for name in evaluation.choices if evaluation.is_of_subset(name)]
+    subset_rows = [name for name in evaluation.specs if evaluation.is_of_subset(name)]
     if not subset_rows:
         return []
     task_count = len(evaluation.tasks_of(subset_rows[0]))  # all subsets are of one size

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from metapp.evaluation.error_statistics import PairedComparison
+from metapp.runs.fit import Fit
 from metapp.storage import Document
-from metapp.storage.fit_records import FitRecord
 
 # All that is known of a method, whatever columns show. Its comparisons with another row are PairedComparison.
 Row = Document
@@ -52,7 +52,7 @@ class Table(NamedTuple):
             as many as it has room for.
         rows: a row for each method; empty if the application has nothing to show.
         notes: sentences on columns and rows, which tables may share.
-        fits: records of fits that a picture shows side by side, by the method's name.
+        fits: fits that a picture shows side by side, by the method's name.
         findings: sentences above the table: the error's definition, and what the table shows.
     """
 
@@ -61,7 +61,7 @@ class Table(NamedTuple):
     columns: tuple[Column, ...]
     rows: list[Row]
     notes: list[str]
-    fits: Mapping[str, list[FitRecord]] = {}
+    fits: Mapping[str, list[Fit]] = {}
     findings: Sequence[str] = ()
 
     @property

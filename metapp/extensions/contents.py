@@ -177,7 +177,9 @@ def scene_files(registry: Registry) -> None:
     here = f"{_HERE}.scene_files"
     transport = registry.applications["transport"]
     transport.formats["mitsuba"] = Format(
-        f"{here}.scene_reader", "Mitsuba scenes (.xml, .json) with a perspective camera"
+        f"{here}.scene_reader",
+        "Mitsuba scenes (.xml, .json) with a perspective camera",
+        is_self_contained=False,
     )
     transport.read_object = Lazy(f"{here}.scene_reader:task_of_object")
     registry.hooks.scene = Lazy(f"{here}.scene_reader:check_stored_scene")

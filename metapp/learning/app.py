@@ -216,10 +216,6 @@ class App(ABC):
         """Return as many augmented tasks, each a random variation of one of the tasks; for training only."""
         return tasks
 
-    def warm_up_app(self) -> App:
-        """Return an application whose fits load what fits of this one load, maybe in less time: to be thrown away."""
-        return self
-
     def postprocess(self, theta: Params, tasks: Tasks | None = None) -> Params:
         """Change fits [T, ...] after their last step, before they are evaluated and stored.
 

@@ -1,7 +1,7 @@
 """The training of phi, the parameters of a checkpoint: a search of an Adam, an outer loop, or both.
 
 The states of a training are yielded one by one, so that the caller can show progress, write them to a file and
-continue an interrupted training. Files, and which paradigm is trained, are the caller's business.
+continue an interrupted training. Files, and which checkpoint is trained, are the caller's business.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm, fastest_steps
+from metapp.paradigms.methods import PARALLEL_TASKS, fastest_steps, fit_tasks
+from metapp.paradigms.trainings import Training
 
 
 class TrainState(NamedTuple):
@@ -62,23 +63,23 @@ class TrainState(NamedTuple):
         return MetaParameters.unflatten(self.best)
 
 
-Validate = Callable[[Paradigm, MetaParameters, Tasks], float]  # returns the error of fits of tasks from a phi
+Validate = Callable[[Training, MetaParameters, Tasks], float]  # returns the error of fits of tasks from a phi
 
 
-def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> float:
+def validation_error(training: Training, phi: MetaParameters, tasks: Tasks) -> float:
     """Return the mean error of fits of all tasks, scaled like in tables; infinite if a fit diverges.
 
     Seeds are fixed: one is enough where fits are deterministic, else two are averaged. All kinds of tasks weigh alike.
     Learned rules fit without their guard, so that the best rule is kept and not the best fallback.
     """
-    app = paradigm.app
+    app, method = training.app, training.method(phi)._replace(guard=None)
     total, weights, seeds = 0.0, tasks.kind_weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
             selected_tasks = tasks.select(rows)
             try:
-                theta = paradigm.fit(phi, selected_tasks, rng, guarded=False)
+                theta = fit_tasks(method, selected_tasks, rng)
             except FloatingPointError:
                 return float("inf")
             total += float((weights[rows] * app.errors(theta, selected_tasks)["error"]).sum())
@@ -86,7 +87,7 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
 
 
 def train_phi(
-    training: CheckpointTraining,
+    training: Training,
     tasks: Tasks,
     rng: Generator,
     *,
@@ -99,7 +100,7 @@ def train_phi(
     """Train the phi of a checkpoint.
 
     Args:
-        training: the initial phi, the outer loss and the settings of the paradigm's training.
+        training: the initial phi, the outer loss and the settings of the training.
         tasks: the training tasks, of which every eighth group validates.
         rng: the source of all random numbers.
         general: a trained General, at which QuickFT and most recipes of Meta begin.
@@ -137,12 +138,12 @@ def train_phi(
     if outer_loop.validation_variants:
         rows = list(range(len(validation_tasks))) * outer_loop.validation_variants
         variants_rng = Generator(tasks.rows.device).manual_seed(0)
-        validation_tasks = training.paradigm.app.augment(validation_tasks.select(rows), variants_rng)
+        validation_tasks = training.app.augment(validation_tasks.select(rows), variants_rng)
     yield from _run_outer_loop(training, outer_loop, state, training_tasks, validation_tasks, rng, validate)
 
 
 def _run_outer_loop(
-    training: CheckpointTraining,
+    training: Training,
     outer_loop: OuterLoop,
     state: TrainState,
     training_tasks: Tasks,
@@ -151,7 +152,7 @@ def _run_outer_loop(
     validate: Validate,
 ) -> Iterator[TrainState]:
     """Take outer steps, and validate before the first one, at intervals, and after the last one."""
-    steps, paradigm = outer_loop.steps, training.paradigm
+    steps = outer_loop.steps
     descents = _descend_outer_loss(training, outer_loop, state, training_tasks, rng)
     for descent in check_finite_losses(descents, every=1):
         losses = state.losses
@@ -170,8 +171,8 @@ def _run_outer_loop(
         if state.curve[-1:] and state.curve[-1][0] == descent.step:
             continue  # the training was interrupted after this validation
         if descent.step == steps or descent.step % outer_loop.validate_every == 0:
-            error = validate(paradigm, MetaParameters.unflatten(descent.theta), validation_tasks)
-            mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
+            error = validate(training, MetaParameters.unflatten(descent.theta), validation_tasks)
+            mean = training.app.error_measure.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (descent.step, mean, error)))
             if error < state.validation:
                 best = {key: value.clone() for key, value in descent.theta.items()}
@@ -181,10 +182,11 @@ def _run_outer_loop(
 
 
 def _descend_outer_loss(
-    training: CheckpointTraining, outer_loop: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
+    training: Training, outer_loop: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
 ) -> Iterator[DescentState]:
     """Descend the outer loss by the Adam of the outer loop, in the ranks that there are."""
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
+    assert training.outer_loss is not None
     loss = training.outer_loss(MetaParameters.unflatten(state.current))
     if ranks.rank_count() > 1:
         loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
@@ -199,7 +201,7 @@ SMALL_NETWORK_PARAMETERS = 2**16  # up to which a search can afford to fit all t
 
 
 def _search_adam(
-    training: CheckpointTraining, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
+    training: Training, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
     """Search an Adam by changing one setting or two at a time, from an Adam on.
 
@@ -214,24 +216,24 @@ def _search_adam(
     Yields:
         The state after each Adam; after an interruption beginning with the last one whose error is known.
     """
-    paradigm, known_errors, phi = training.paradigm, state.searched, MetaParameters.unflatten(state.current)
-    lines = paradigm.recipe.search
-    tasks = _select_search_tasks(paradigm.app, tasks)
-    total = min(1 + sum(map(len, lines)), most or sys.maxsize)
+    assert training.with_adam is not None
+    known_errors, phi = state.searched, MetaParameters.unflatten(state.current)
+    tasks = _select_search_tasks(training.app, tasks)
+    total = min(1 + sum(map(len, training.search)), most or sys.maxsize)
     state, best = TrainState(state.current, state.rng, total=total), first
     errors: list[float] = []
 
     def candidates() -> Iterator[Adam]:
         """Yield the Adams to try: the first one, then each line of changes around the best one so far."""
         yield best
-        for line in lines:
+        for line in training.search:
             centre = best
             for changes in line[: total - len(errors)]:
                 yield replace(centre, **{**changes, "rate": centre.rate * changes.get("rate", 1.0)})
 
     for step, adam in enumerate(candidates(), 1):
         candidate = training.with_adam(phi, adam)
-        error = known_errors[step - 1] if step <= len(known_errors) else validate(paradigm, candidate, tasks)
+        error = known_errors[step - 1] if step <= len(known_errors) else validate(training, candidate, tasks)
         errors.append(error)
         state = state._replace(searched=tuple(errors), step=step)
         if error < state.validation:

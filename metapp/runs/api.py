@@ -1,6 +1,6 @@
 """The Python API: functions that fit files, objects in memory and data sets, and that read fits back.
 
-They return fits and write no folder of a run: `metapp.runs.execution` does that for the command line.
+They return fits and write no folder of a run: `metapp.runs.keeping` does that for the command line.
 """
 
 from __future__ import annotations
@@ -14,18 +14,15 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.choice import choose, choose_as_recorded, find_and_choose
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit
-from metapp.runs.fit_options import FitOptions, fit_options
-from metapp.runs.fitter import BadInput, Fitter, fit_inputs
-from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates
-from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
+from metapp.runs.fitting import fit_each, make_fitters, say_doubts
+from metapp.runs.inputs.finding import find
 from metapp.runs.reporter import say
-from metapp.storage.parameters import read_checked_params
+from metapp.runs.resolve import resolve
+from metapp.runs.spec import RunOptions, Spec, parse_fit_options
+from metapp.runs.stored_fits import read_known_fit, read_run
 
 # Options that only fits in folders have, which the command line keeps and a Python program does not
 COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")
@@ -108,10 +105,7 @@ def fit_all(
     try:
         # tensors tell inputs apart; they must not be made on a default device that the program has set
         with torch_defaults(single=False):
-            inputs = sources or []
-            if not are_objects(inputs):
-                inputs = [Path(place) for place in inputs]
-            return _fit_named_inputs(fit_options(app, paradigm, inputs, quiet=True, **options))
+            return _fit_things(*parse_fit_options(app, paradigm, quiet=True, **options), sources or ())
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
@@ -135,43 +129,29 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
     """
     path = Path(os.fsdecode(place))
     with torch_defaults(single=False):
-        records = [read_fit_of_file(path)] if path.is_file() else read_run_records(path).records
-        if len(records) != 1:
-            raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
-        (record,) = records
-        choice = choose_as_recorded(record.settings)
-        parameters = read_checked_params(record, choice.app)
-        task = find_fitted_tasks(records, [], None).get(record.name, Task(record.name, {}))
-        return Fit(choice, task, record, parameters)
+        fits = [read_known_fit(path)] if path.is_file() else read_run(path).fits
+    if len(fits) != 1:
+        raise ValueError(f"{path}: {len(fits)} fits, expected the folder of one task; take one inside it.")
+    (fit,) = fits
+    _ = fit.parameters  # read and checked now, so that a damaged file is told of here
+    return fit
 
 
-def _fit_named_inputs(options: FitOptions) -> list[Fit]:
-    """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
-    choice = find_and_choose(options)
-    with torch_defaults(single=choice.app.small_tensors):
-        inputs, label = find_inputs(choice)
-        if options.objects:
-            # what objects hold is known once they are read, and the size to which they are read once the recipe is
-            first_size = choice.app.read_size
-            tasks = [run_input.read_task() for run_input in inputs]
-            choice = choose(options, [source_of_tensors(options.application, task.name, task.data) for task in tasks])
-            for line in choice.reasons:
-                say(line)
-            if choice.app.read_size != first_size:
-                inputs, label = find_inputs(choice)
-        fits, places = [], []
-        for run_input, fit in fit_inputs(Fitter.of(choice, label), inputs):
-            if isinstance(fit, Fit):
-                fits.append(fit)
-                places.append(run_input.place)
-            elif run_input.is_named or not isinstance(fit, BadInput):
-                raise fit
-            else:
-                say(f"warning: skipped {fit}")
-        if not fits:
-            raise ValueError(f"none of the {len(inputs)} found could be read.")
-        for fit, task in zip(
-            fits, rename_duplicates(zip(places, [fit.task for fit in fits], strict=True)), strict=True
-        ):
-            fit.task = task
-        return fits
+def _fit_things(spec: Spec, options: RunOptions, things: Sequence[object]) -> list[Fit]:
+    """Fit what a program names; a bad file that was found in a folder is left out with a warning."""
+    inputs = find(spec, things, options.data)
+    specs, lines = resolve(spec, inputs)
+    for line in lines:
+        say(line)
+    fits: dict[int, Fit] = {}
+    for one, result in fit_each(make_fitters(specs), inputs, batch=options.batch):
+        if isinstance(result, Fit):
+            say_doubts(result)
+            fits[id(one)] = result
+        elif result.fails_run:
+            raise result.error
+        else:
+            say(f"warning: skipped {result.reason}")
+    if not fits:
+        raise ValueError(f"none of the {len(inputs)} found could be read.")
+    return [fits[id(one)] for one in inputs if id(one) in fits]

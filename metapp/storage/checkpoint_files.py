@@ -1,7 +1,7 @@
 """Files of checkpoints and of the states of running trainings, and the digests by which records name them.
 
 A file that is read may be damaged or written by anybody; no file is unpickled. Which checkpoint a run needs is decided
-in `metapp.runs.checkpoint_selection`.
+in `metapp.runs.checkpoints`.
 """
 
 from __future__ import annotations

@@ -10,23 +10,6 @@ from torch import Generator
 
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, problems_of
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import read_params
-
-
-def read_checked_params(record: FitRecord, app: App) -> Params:
-    """Read the parameters of a fit and check that they fit the network of its application.
-
-    Args:
-        record: the record of the fit, with its folder.
-        app: the application, with the network that the settings of the fit describe.
-
-    Raises:
-        ValueError: the parameters are missing or damaged, or :func:`check_params` refuses them.
-    """
-    theta = read_params(record.folder)
-    check_params(theta, app, record.folder)
-    return theta
 
 
 def check_params(theta: Params, app: App, place: str) -> None:

@@ -1,6 +1,6 @@
 """The places of the checkpoints that ship with the package.
 
-Applications and runs ask for them by name; which recipe a fit takes is decided in `metapp.runs.choice`.
+Applications and runs ask for them by name; which recipe a fit takes is decided in `metapp.runs.resolve`.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.meta import Meta
+from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.registry import registry
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
@@ -93,7 +93,8 @@ def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None
     )
     start.alpha["penalty.last"].fill_(-20.0)
     tasks = tasks_of(theta)
-    fit = Meta.of(APP, RECIPE, "ridge", 5).fit(start, tasks, Generator().manual_seed(5))
+    method = make_method("meta", APP, RECIPE, start, rule="ridge", steps=5)
+    fit = fit_tasks(method, tasks, Generator().manual_seed(5))
     before = float(APP.errors({key: value[None] for key, value in start.theta.items()}, tasks)["error"])
     assert float(APP.errors(fit, tasks)["error"]) < 1e-3 * before
     for key, value in fit.items():

@@ -71,8 +71,8 @@ def crowded_pairs(count: int) -> tuple[Directions, Directions]:
 def test_a_line_says_where_the_height_of_the_highlight_is_a_guess(width: float) -> None:
     for pairs, guessed in ((scattered_pairs(160 if width > 4 else 300, 300), True), (crowded_pairs(900), False)):
         fit = metapp.fit("brdf", (*pairs, gaussian_lobe(*pairs, width, 5.0)), recipe="full")
-        assert says(fit.record.note, "highlight", "guess", "degrees", "samples allow") == guessed
-        assert ("highlight" in fit.record.note) == guessed
+        assert says(fit.note, "highlight", "guess", "degrees", "samples allow") == guessed
+        assert ("highlight" in fit.note) == guessed
 
 
 def spike_features(where: Tensor) -> Tensor:

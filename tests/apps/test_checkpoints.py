@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.paradigms.adam import QuickFT
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from metapp.learning.recipe import Recipe
+from metapp.paradigms.trainings import trainings_of
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import checkpoint_name
-from metapp.runs.choice import has_shipped_recipe
+from metapp.runs.checkpoints import checkpoint_name, has_shipped_recipe
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
 from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, recipes_of
@@ -36,8 +35,9 @@ def start_of(name: str, checkpoint: str, recipe: str = QUICK_RECIPE_NAME) -> Met
 # What they are
 
 
-def names_of(paradigm: Paradigm) -> list[str]:
-    return [checkpoint_name(application(paradigm.app.name), paradigm.app, training) for training in paradigm.trainings]
+def names_of(paradigm: str, app: App, recipe: Recipe, rule: str = "") -> list[str]:
+    trainings = trainings_of(paradigm, app, recipe, rule)
+    return [checkpoint_name(application(app.name), app, training) for training in trainings]
 
 
 def expected_of(name: str, recipe: str) -> set[str]:
@@ -49,15 +49,15 @@ def expected_of(name: str, recipe: str) -> set[str]:
         names = set()
         for protocol in observations_of(name):
             app, of = app_by_recipe(name, FULL_RECIPE_NAME, protocol), recipes_of(name, protocol)[FULL_RECIPE_NAME]
-            (general, adam), rule = names_of(QuickFT.of(app, of)), names_of(Meta.of(app, of))
+            (general, adam), rule = names_of("quickft", app, of), names_of("meta", app, of)
             names |= {adam, *((general, *rule) if general != "general" else ())}
         return names
     names = {"general"}
     for protocol in observations_of(name):
         app, of = app_by_recipe(name, recipe, protocol), recipes_of(name, protocol)[recipe]
         rules = of.meta if name == "brdf" else (of.rule,)
-        names.add(names_of(QuickFT.of(app, of))[1])
-        names.update(*(names_of(Meta.of(app, of, rule)) for rule in rules))
+        names.add(names_of("quickft", app, of)[1])
+        names.update(*(names_of("meta", app, of, rule) for rule in rules))
     return names
 
 

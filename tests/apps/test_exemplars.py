@@ -23,7 +23,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarge_periodic
 from metapp.networks.quilted import normalise_quilts, quilt_deviation
-from metapp.paradigms.adam import Overfit
+from metapp.paradigms.methods import fit_tasks, make_method
 from tests.recipe_apps import presenter_of, recipes_of
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
@@ -233,7 +233,7 @@ def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: ExemplarApp
     assert (quilt.shape, places.shape) == ((2, 3, 64, 64), (2, 2, 64, 64))
     assert quilt[0].std() > 0.1
     rng = Generator().manual_seed(0)
-    theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), pavement, rng)
+    theta = fit_tasks(make_method("overfit", app, tiny(app.name), MetaParameters(), steps=2), pavement, rng)
     encoded = app.encode(app.init_encoder(rng), app.encoder_input(pavement, rng))
     for parameters in (theta, encoded):
         assert torch.equal(parameters["quilt"], quilt)

@@ -21,10 +21,9 @@ from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms.adam import QuickFT
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
-from metapp.runs.checkpoint_selection import checkpoint_name
+from metapp.paradigms.methods import descend_tasks, fit_tasks, make_method
+from metapp.paradigms.trainings import trainings_of
+from metapp.runs.checkpoints import checkpoint_name
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
@@ -46,21 +45,23 @@ class Found(NamedTuple):
 def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
     recipe = recipes_of(app.name, app.observes)["quick"]
-    meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
+    tasks = stack_tasks(app, list(sources))
 
-    def shipped(paradigm: Paradigm) -> list[MetaParameters]:
-        names = [checkpoint_name(application(app.name), app, training) for training in paradigm.trainings]
+    def shipped(paradigm: str) -> list[MetaParameters]:
+        trainings = trainings_of(paradigm, app, recipe)
+        names = [checkpoint_name(application(app.name), app, training) for training in trainings]
         return [load_checkpoint(shipped_checkpoint_path(app.name, name))[0] for name in names]
 
-    (learned,), (general, adam) = shipped(meta), shipped(quickft)
-    tuned = general._replace(alpha=adam.alpha)
+    (learned,), (general, adam) = shipped("meta"), shipped("quickft")
+    meta = make_method("meta", app, recipe, learned)
+    quickft = make_method("quickft", app, recipe, general._replace(alpha=adam.alpha))
     rng = [Generator().manual_seed(0) for _ in range(4)]
     return Found(
         tasks,
-        meta.initialisation(learned, tasks, rng[0]),
-        quickft.fit(tuned, tasks, rng[1]),
-        meta.fit(learned, tasks, rng[2], guarded=False),
-        final_item(meta.descend(learned, tasks, rng[3])),
+        meta.start(tasks, rng[0]),
+        fit_tasks(quickft, tasks, rng[1]),
+        fit_tasks(meta._replace(guard=None), tasks, rng[2]),
+        final_item(descend_tasks(meta, tasks, rng[3])),
     )
 
 

@@ -23,7 +23,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, fetch_pieces
-from metapp.paradigms.adam import Overfit
+from metapp.paradigms.methods import fit_tasks, make_method
 from tests.recipe_apps import presenter_of, recipes_of
 
 ROOT = Path(__file__).parent.parent.parent / "metapp"
@@ -54,7 +54,8 @@ def tasks(task: Task) -> Tasks:
 @pytest.fixture(scope="module")
 def theta(tasks: Tasks) -> Params:
     recipe = replace(recipes_of("texture")["full"], app=APP)
-    return Overfit.of(APP, recipe, steps=8).fit(MetaParameters(), tasks, Generator().manual_seed(0))
+    overfit = make_method("overfit", APP, recipe, MetaParameters(), steps=8)
+    return fit_tasks(overfit, tasks, Generator().manual_seed(0))
 
 
 def test_fits_begin_with_the_error_of_the_quilt_and_lower_it(tasks: Tasks, theta: Params) -> None:
@@ -189,9 +190,7 @@ def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: 
     assert remarks["repeated"] == pytest.approx(30 * 44 / 64**2)
 
 
-def test_a_fit_that_is_thrown_away_compares_two_quilts_and_methods_without_quilts_make_none(task: Task) -> None:
-    assert APP.warm_up_app().candidates == 2
-    assert replace(APP, candidates=1).warm_up_app().candidates == 1
+def test_methods_without_quilts_make_none(task: Task) -> None:
     assert not {"places", "quilt"} & stack_tasks(replace(APP, candidates=0), [task]).data.keys()
     assert all(baseline.app.candidates == 0 for baseline in baselines(APP))
 

@@ -16,7 +16,7 @@ from metapp.apps.illumination.suns import MAX_SUN_RAD, SUN_COUNT, add_suns, find
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
-from metapp.paradigms.adam import encoder_prediction
+from metapp.paradigms.trainings import encoder_prediction
 
 pytestmark = pytest.mark.usefixtures("second_scene")
 HEIGHT, WIDTH = 64, 128

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ import pytest
 import torch
 from safetensors.torch import load_file, save, save_file
 
+from metapp.runs.stored_fits import read_fits
 from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_folders import PARAMS, RECORD
 from tests.cli.messages import says
+from tests.kept_fits import fit_of, write_fit
 from tests.marked import long
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -30,8 +32,7 @@ THETA = {"w": torch.arange(3.0)}
 
 def fit_folder(run: Path, name: str) -> Path:
     """The folder of a fit."""
-    record = FitRecord(name=name, error=0.5, seconds=0.1, settings=Settings(steps=10))
-    return Path(write_fit(run, record, THETA).folder)
+    return write_fit(run, fit_of(name), THETA).folder
 
 
 BAD_RECORDS: dict[str, Any] = {
@@ -51,16 +52,17 @@ def test_a_bad_record_is_passed_over_with_a_warning(tmp_path: Path, change: Any)
     fit_folder(tmp_path, "tin")
     text = change if isinstance(change, str) else json.dumps({**json.loads(file.read_text()), **change})
     file.write_text(text, errors="surrogateescape")
-    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task \(.+\); passed over"):
-        assert [record.name for record in read_fit_records(tmp_path, timed=True)] == ["tin"]
-    again = fit_folder(tmp_path, "gold")  # whose the folder is cannot be said
-    with pytest.warns(UserWarning, match="no record"):
-        assert [record.name for record in read_fit_records(tmp_path, timed=True)] == [again.name, "tin"]
+    with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a fit \(.+\); passed over"):
+        assert [fit.name for fit in read_fits(tmp_path)] == ["tin"]
+    again = fit_folder(tmp_path, "gold")  # another folder if nothing says whose the damaged one is
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert [fit.name for fit in read_fits(tmp_path)] == [again.name, "tin"]
 
 
 DAMAGED = {
     "settings": [{"app": 1}, {"data": None}, {"recipe": []}, {"rule": 7}, {"paradigm": {}}, {"options": 3}],
-    "origin": [None, "x", [], {"inputs": 7}, {"inputs": [None]}, {"data": 1}],
+    "inputs": ["x", {"data": 1}, 7, [None], [1]],
 }
 
 
@@ -76,10 +78,7 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
             for words in (("export", run, "merl"), ("view", run), ("compare", run, run)):
                 result = metapp(*words)
                 line = result.refusal if run == folder else result.err.splitlines()[0]
-                if value == {"data": None}:  # a record without a setting
-                    assert says(line, "m0/record.json: m0", "'data' is missing, expected text"), words
-                    continue
-                assert re.search(r"/m0/record.json: no record, expected one of a task \(Expected .*\); ", line), words
+                assert re.search(r"/m0/record.json: no record, expected one of a fit \(Expected .*\); ", line), words
                 assert (f".{place}" in line, "expected" in result.error) == (True, True), words
                 assert len(result.err.splitlines()) == (1 if run == folder else 2)
 

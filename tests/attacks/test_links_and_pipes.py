@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import find_compiler, load_library
+from metapp.runs.stored_fits import read_fits
 from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import (
     check_readable,
@@ -18,11 +19,11 @@ from metapp.storage.files import (
     read_bytes,
     read_text,
 )
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_folders import PARAMS, RECORD
+from tests.kept_fits import fit_of, write_fit
 
 KEYS = "first\nlast"
-GOLD = FitRecord(name="gold", error=1.0, seconds=1.0)
+GOLD = fit_of("gold", error=1.0)
 THETA = {"w": torch.zeros(1)}
 
 
@@ -52,9 +53,9 @@ def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name:
     file.unlink()
     link(file, keys)
     kept = write_fit(sent, replace(GOLD, error=2.0), THETA)
-    assert (kept.folder, file.is_symlink(), file.stat().st_nlink) == (str(sent / "gold"), False, 1)
+    assert (kept.folder, file.is_symlink(), file.stat().st_nlink) == (sent / "gold", False, 1)
     assert keys.read_bytes() == before
-    assert [record.error for record in read_fit_records(sent)] == [2.0]
+    assert [fit.error for fit in read_fits(sent)] == [2.0]
 
 
 def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None:

@@ -16,10 +16,11 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.console import MAX_MESSAGE_CHARACTERS, shorten_to_line
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
-from metapp.runs import fitter
+from metapp.runs import fitting
+from metapp.runs.fit import Fit, read_fit
 from metapp.runs.memory_errors import describe_short_memory
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records
+from metapp.runs.stored_fits import read_fits
+from metapp.storage.fit_folders import PARAMS, RECORD
 from tests.cli.messages import says
 from tests.conftest import CommandResult
 
@@ -69,7 +70,7 @@ def test_names_that_are_not_utf_8_are_to_be_changed(metapp: Callable, network: P
     assert "caf\\udce9': a name that is not UTF-8, expected one that is; rename it." in result.error
     assert metapp("meta", "brdf", network, "--recipe", "quick", "--out", place, "--json").code == 0
     (file,) = place.rglob(RECORD)
-    assert read_fit_record(file.parent)
+    assert read_fit(file.parent)
 
 
 @pytest.mark.parametrize("name", ["x" * 230, "a\nb$x$", "日" * 80, "aux"])
@@ -80,7 +81,7 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
     (task,) = result.json_document["tasks"]
     assert task["name"].isprintable()
     folder = Path(result.json_document["out"])
-    assert [record.name for record in read_fit_records(folder)] == [task["name"]]
+    assert [fit.name for fit in read_fits(folder)] == [task["name"]]
     assert (folder / "pictures.png").is_file()
     place = Path(task["folder"])
     assert (place / PARAMS).is_file()
@@ -143,13 +144,13 @@ def test_unexpected_errors_are_one_line_that_asks_for_a_report(
 def test_records_state_threads_and_fits_that_end_worse(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def record(*words: str) -> tuple[CommandResult, FitRecord]:
+    def record(*words: str) -> tuple[CommandResult, Fit]:
         result = fit("overfit", network, "--steps", "2", "--json", *words)
-        return result, read_fit_records(Path(result.json_result["out"]))[-1]
+        return result, read_fits(Path(result.json_result["out"]))[-1]
 
     _, whole = record()
     assert whole.threads == 1  # BRDFs are fitted by one thread
-    assert "threads" not in whole.settings.document()
+    assert "threads" not in whole.spec.document()
     assert whole.warning == ""
     assert "warning" not in whole.document()
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit=Adam(1.0)))
@@ -157,5 +158,5 @@ def test_records_state_threads_and_fits_that_end_worse(
     assert says(result.err, "warning: m0: ", "loss rose")
     assert "loss rose" in worse.warning
     assert result.json_result["tasks"][0]["warning"] == worse.warning
-    monkeypatch.setattr(fitter, "draw_per_task", None)
+    monkeypatch.setattr(fitting, "draw_per_task", None)
     assert "warning" not in fit("meta", network, "--json").json_result["tasks"][0]  # its guard compared them

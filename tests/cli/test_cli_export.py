@@ -3,12 +3,13 @@
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from metapp.storage.fit_records import encode_record
-from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
+from metapp.runs.stored_fits import read_fits
+from metapp.storage.fit_folders import PARAMS, RECORD
 from tests.cli.messages import says
 from tests.recipe_apps import exports_of
 from tests.small_spheres import run_with_small_spheres
@@ -111,9 +112,9 @@ def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> N
 def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
     (run / "m0" / PARAMS).write_bytes(b"hello")
     assert "m0/params.safetensors: " in metapp("export", run, "merl").error
-    record = read_fit_records(run)[0]
-    record.settings.recipe = "other"
-    (run / "m0" / RECORD).write_bytes(encode_record(record))
+    fit = read_fits(run)[0]
+    fit.spec = replace(fit.spec, recipe="other")
+    (run / "m0" / RECORD).write_bytes(fit.record())
     passed_over = metapp("export", run, "merl")
     assert passed_over.code == 0
     assert says(passed_over.err, f"m0/{RECORD}", "settings", "'other'", "passed over")

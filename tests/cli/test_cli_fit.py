@@ -22,10 +22,11 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
+from metapp.runs.fit import Fit
+from metapp.runs.stored_fits import read_fits
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import file_digest
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import RECORD, FitStore, read_fit_records, read_params
+from metapp.storage.fit_folders import RECORD, read_params
 from metapp.storage.folders import MARKER
 from tests.cli.messages import says
 from tests.conftest import CommandResult
@@ -86,7 +87,7 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
         assert (folder / name / "nbrdf" / name).is_dir()
         assert read_params(folder / name)
     assert result.error.startswith("error: 2 exports")
-    assert [record.name for record in read_fit_records(folder)] == ["m4", "m9"]
+    assert [fit.name for fit in read_fits(folder)] == ["m4", "m9"]
 
 
 @pytest.mark.parametrize(("number", "fitted"), [(errno.ENOSPC, 1), (errno.EACCES, 3)])
@@ -94,15 +95,15 @@ def test_a_fit_that_cannot_be_written_leaves_the_others_and_the_report(
     metapp: Callable, write_nbrdf_networks: Callable, monkeypatch: pytest.MonkeyPatch, number: int, fitted: int
 ) -> None:
     """The second of four fits is not written: a full disk ends the fits, a folder without rights ends none."""
-    write_fit, records = FitStore.write, []
+    keep, kept = Fit.keep, []
 
-    def write(store: FitStore, record: FitRecord, *arguments: Any) -> FitRecord:
-        records.append(record)
-        if len(records) == 2:
+    def keep_but_one(fit: Fit, *arguments: Any) -> None:
+        kept.append(fit)
+        if len(kept) == 2:
             raise OSError(number, os.strerror(number))
-        return write_fit(store, record, *arguments)
+        keep(fit, *arguments)
 
-    monkeypatch.setattr(FitStore, "write", write)
+    monkeypatch.setattr(Fit, "keep", keep_but_one)
     result = metapp("general", "brdf", write_nbrdf_networks(4), "--json")
     assert result.code == 1
     assert len(result.json_document["tasks"]) == fitted
@@ -141,11 +142,10 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert folder.name.startswith("overfit-materials-")
     assert f"fits: {folder}" in result.err
     assert f"to look at: metapp view {folder}" in result.err
-    records = read_fit_records(folder)
-    assert [record.name for record in records] == ["m4", "m9"]
-    assert all(record.settings.adam and record.settings.adam["rate"] > 0 for record in records)
-    assert records[0].settings.steps == 40
-    assert records[0].settings.versions["torch"] == str(torch.__version__)
+    fits = read_fits(folder)
+    assert [fit.name for fit in fits] == ["m4", "m9"]
+    assert fits[0].spec.steps == 40
+    assert fits[0].spec.versions["torch"] == str(torch.__version__)
     assert load_file(folder / "m4" / "params.safetensors")["w2"].shape == (21, 21)
     assert {file.name for file in folder.iterdir()} == {"m4", "m9", "pictures.png", MARKER}
     assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
@@ -158,10 +158,10 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
     error, seconds = re.fullmatch(
         rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().error_measure.text)}\), (\d+\.\d) s in all\n", result.out
     ).groups()
-    (record,) = read_fit_records(Path("runs/brdf/general-quick"))
-    assert error == f"{record.error:.3f}"
-    assert record.seconds is not None
-    assert float(seconds) + 0.05 >= record.seconds
+    (fit,) = read_fits(Path("runs/brdf/general-quick"))
+    assert error == f"{fit.error:.3f}"
+    assert fit.seconds is not None
+    assert float(seconds) + 0.05 >= fit.seconds
     folder = "runs/brdf/general-quick/m1"
     *_, merl, mitsuba, spectral, fits, view = result.err.splitlines()
     assert [merl, mitsuba] == [f"merl: {folder}/merl/m1.binary", f"mitsuba: {folder}/mitsuba/m1/m1.xml"]
@@ -280,10 +280,9 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     tuned = fit("quickft", "--train", "--checkpoint", general, "--json")
     assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
-    assert "tuned Adam" in tuned.err
-    record = read_fit_records(Path(tuned.json_document["out"]))[-1]
-    assert record.settings.adam is not None
-    assert record.settings.adam["beta1"] == 0.3  # the tuned one, not the recipe's
+    (file,) = Path("runs/brdf/checkpoints").rglob("quickft.safetensors")
+    assert float(load_checkpoint(file)[0].alpha["beta1"]) == pytest.approx(0.3)  # the tuned one, not the recipe's
+    assert errors_of(fit("quickft", "--checkpoint", file, "--json")) == errors_of(tuned)
 
 
 def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
@@ -301,14 +300,14 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert result.code == 130
     assert says(result.err, "interrupted", "--resume")
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
-    (kept,) = read_fit_records(run)
+    (kept,) = read_fits(run)
     assert says(fit("overfit", "--resume").err, "1 of 2 inputs", "skipped")
-    first, second = read_fit_records(run)
+    first, second = read_fits(run)
     assert first == kept
     assert second.name == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
-    assert read_fit_records(run) == [first, second]
+    assert read_fits(run) == [first, second]
     assert says(fit("overfit").err, "2 of 2 fits", "replace", "--resume")
 
 
@@ -371,7 +370,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
         "import gc, sys",
         "from metapp.cli.command_process import pause_garbage_collection",
         "with pause_garbage_collection():",
-        "    import metapp.runs.execution",
+        "    import metapp.runs.keeping",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",
@@ -383,7 +382,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
 def test_records_state_the_albedo_of_brdfs(fit: Callable) -> None:
     done = fit("meta", "--conserve", "--json")
     assert done.code == 0, done.err
-    record = read_fit_records(Path(done.json_document["out"]))[0]
+    record = read_fits(Path(done.json_document["out"]))[0]
     assert len(record.figures["albedo"]) == 16
     assert max(record.figures["albedo"]) <= 1
     assert "-conserve" in done.json_document["out"]

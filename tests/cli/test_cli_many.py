@@ -12,12 +12,14 @@ from torch import Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs import execution, fitter
+from metapp.runs import fitting
 from metapp.runs.fit import Fit
-from metapp.runs.fitter import Fitter
-from metapp.runs.inputs.run_inputs import Input
-from metapp.storage.fit_store import name_with_digest, read_fit_records
+from metapp.runs.fitting import Fitter
+from metapp.runs.outputs.fit_files import write_pictures
+from metapp.runs.stored_fits import read_fits
+from metapp.storage.fit_folders import name_with_digest
 from tests.cli.messages import says
+from tests.conftest import CommandResult
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -40,13 +42,13 @@ def fit(metapp: Callable, materials: Path) -> Callable:
 @pytest.fixture
 def fitted_batches(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """The names of the tasks in each batch."""
-    batches, original = list[list[str]](), Fitter.fit_side_by_side
+    batches, original = list[list[str]](), fitting.fit_tasks_of
 
-    def fit(self: Fitter, tasks: Sequence[Task]) -> list[Fit]:
+    def fit(fitter: Fitter, tasks: Sequence[Task]) -> list[Fit]:
         batches.append([task.name for task in tasks])
-        return original(self, tasks)
+        return original(fitter, tasks)
 
-    monkeypatch.setattr(Fitter, "fit_side_by_side", fit)
+    monkeypatch.setattr(fitting, "fit_tasks_of", fit)
     return batches
 
 
@@ -62,7 +64,7 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted_batches
     assert together["tasks_per_second"] > 0
     assert together["failures"] == []
     folder = Path(together["out"])
-    assert [record.batch for record in read_fit_records(folder)] == [2, 2, 2, 2, 1]  # seconds are shares
+    assert [fit.batch for fit in read_fits(folder)] == [2, 2, 2, 2, 1]  # seconds are shares
     assert folder == Path(alone["out"])
     assert (folder / "pictures.png").is_file()
     assert (folder / "m3" / "params.safetensors").is_file()
@@ -129,9 +131,9 @@ def test_failed_fits_are_separated_from_their_batch(
     assert sorted(errors(result.json_document)) == ["m0", "m2", "m3", "m4"]
     assert "not finite" in result.json_document["failures"][0]["reason"]
     assert fitted_batches == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
-    records = read_fit_records(Path(result.json_document["out"]))
-    assert [record.name for record in records] == ["m0", "m2", "m3", "m4"]
-    assert all(record.batch == 1 and "batch" not in record.document() for record in records)
+    fits = read_fits(Path(result.json_document["out"]))
+    assert [fit.name for fit in fits] == ["m0", "m2", "m3", "m4"]
+    assert all(fit.batch == 1 and "batch" not in fit.document() for fit in fits)
 
 
 def test_batches_beyond_the_memory_are_fitted_one_by_one(
@@ -149,26 +151,27 @@ def test_batches_beyond_the_memory_are_fitted_one_by_one(
     assert fitted_batches == [NAMES[:4], *([name] for name in NAMES)]
 
 
-def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
-    fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_inputs_of_one_name_are_kept_apart(metapp: Callable, materials: Path) -> None:
     """Each has its folder again when it is fitted again."""
-    task = Input.read_task
-    monkeypatch.setattr(Input, "read_task", lambda self: task(self)._replace(name="one"))
-    names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
+    for name in NAMES:
+        Path(name).mkdir()
+        (materials / name).rename(Path(name) / "one")
+
+    def fit(*more: str) -> CommandResult:
+        return metapp("general", "brdf", *NAMES, "--recipe", "quick", "--json", *more)
+
+    names = ["one", *(name_with_digest("one", str((Path(name) / "one").resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").json_document)
     assert list(first) == names
     assert says((again := fit()).err, "5 of 5 fits", "replace")
     assert list(errors(again.json_document)) == names
 
 
-def test_faults_of_warm_ups_doubts_and_pictures_end_no_other_fit(
-    fit: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faults_of_doubts_and_pictures_end_no_other_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("max(): no elements\nsecond line")
 
-    drawn, draw = [], execution.write_pictures
+    drawn, draw = [], write_pictures
 
     def draw_but_one(pictures: object, folder: Path) -> None:
         drawn.append(folder)
@@ -176,9 +179,8 @@ def test_faults_of_warm_ups_doubts_and_pictures_end_no_other_fit(
             fail()
         draw(pictures, folder)
 
-    monkeypatch.setattr(Fitter, "warm_up", fail)
-    monkeypatch.setattr(fitter, "warnings_of", fail)
-    monkeypatch.setattr(execution, "write_pictures", draw_but_one)
+    monkeypatch.setattr(fitting, "warnings_of", fail)
+    monkeypatch.setattr("metapp.runs.fit.write_pictures", draw_but_one)
     run = fit()
     assert run.code == 1
     assert len(run.json_document["tasks"]) == NETWORKS - 1

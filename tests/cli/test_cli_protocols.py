@@ -34,13 +34,15 @@ from metapp.cli.progress import Terminal
 from metapp.evaluation.tables.results import describe_gap
 from metapp.networks.field import LocalField
 from metapp.registry import registry
-from metapp.runs.choice import choose_as_recorded, find_and_choose
-from metapp.runs.execution import execute
-from metapp.runs.fit_options import fit_options
-from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
+from metapp.runs.fitting import make_fitters
+from metapp.runs.inputs.finding import find
+from metapp.runs.keeping import fit_and_keep
 from metapp.runs.reporter import Bar, use_reporter
+from metapp.runs.resolve import resolve
+from metapp.runs.spec import parse_fit_options
+from metapp.runs.stored_fits import read_fits
 from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_folders import PARAMS, RECORD
 from tests.cli.messages import says
 from tests.marked import long
 from tests.pictures import write_planes
@@ -165,7 +167,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     assert 0 < document["photo_error"] == document["tasks"][0]["photo_error"] < 30
     assert document["out"].endswith("-photo")
-    assert read_fit_records(Path(document["out"]))[0].settings.observe == "photo"
+    assert read_fits(Path(document["out"]))[0].spec.observe == "photo"
     output_folder = Path(document["out"]) / "photo"
     assert {path.name for path in output_folder.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
@@ -178,22 +180,21 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert document["error"] == pytest.approx(errors["reference"])
 
 
-def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, capsys: Any) -> None:
-    """The first that all of them hold, which is said where they differ; a missing path is refused by what reads it."""
+def test_each_input_has_the_protocol_that_it_holds(app: str, photo: Path, reference: Path) -> None:
+    """What lies beside an input says nothing about it."""
 
-    def is_chosen(observes: str, *inputs: Path, why: str = "", **more: Any) -> bool:
-        """Whether this is chosen, and one line says so with its reason, or none if no reason is given."""
-        with use_reporter(Terminal()):
-            choice = find_and_choose(fit_options(app, "general", inputs, recipe="quick", **more))
-        line = capsys.readouterr().err.strip()
-        return choice.app.observes == observes and (says(line, app, observes, why) if why else line == "")
+    def chosen(*inputs: Path, **more: Any) -> list[str]:
+        spec, _ = parse_fit_options(app, "general", recipe="quick", **more)
+        specs, lines = resolve(spec, find(spec, inputs))
+        assert lines == []
+        return [spec.observe for spec in specs]
 
-    assert is_chosen("photo", photo)
-    assert is_chosen("reference", reference)
-    assert is_chosen("photo", reference, photo, why="1 of 2")
-    assert is_chosen("photo", photo.parent, why="1 of 2")
-    assert is_chosen("reference", Path("none"))
-    assert is_chosen("reference", photo, observe="reference")
+    assert chosen(photo) == ["photo"]
+    assert chosen(reference) == ["reference"]
+    assert chosen(reference, photo) == ["reference", "photo"]
+    assert chosen(photo.parent) == ["photo", "reference"]
+    assert chosen(photo, reference, observe="photo") == ["photo", "photo"]
+    assert chosen(photo, observe="reference") == ["reference"]
 
 
 def test_a_photo_is_refused_where_fits_see_references(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
@@ -244,7 +245,10 @@ def test_cropping_is_reported_and_progress_shown(shot: Path, capsys: Any) -> Non
             return nullcontext(bar)
 
     with use_reporter(Shown()):
-        execute(find_and_choose(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
+        spec, options = parse_fit_options(SVBRDF, "overfit", recipe="quick", steps=1, export="png16")
+        inputs = find(spec, [shot.parent])
+        fitters = make_fitters(resolve(spec, inputs)[0])
+        assert len(list(fit_and_keep(fitters, inputs, Path("runs/overfit"), options))) == len(inputs)
     lines = capsys.readouterr().err.splitlines()
     notes = [line for line in lines if "px" in line][1:]
     for number, note in enumerate(notes):
@@ -311,10 +315,10 @@ def test_exposure_option_scales_the_photo(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).json_document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
-    runs = [read_run_records(Path(fit["out"])).records for fit in fits.values()]
-    assert [choose_as_recorded(run[0].settings).app.observes for run in runs] == ["photo", "photo"]
-    (one,), (other,) = (find_fitted_tasks(run, [], None).values() for run in runs)
-    assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
+    runs = [read_fits(Path(fit["out"])) for fit in fits.values()]
+    assert [run[0].app.observes for run in runs] == ["photo", "photo"]
+    (one,), (other,) = runs
+    assert not torch.equal(one.task.data["photo"], other.task.data["photo"])  # each is read again as it was read then
 
 
 # What --observe picks is part of every figure and start, but of General, which all protocols share
@@ -348,9 +352,12 @@ def test_protocols_share_generals_checkpoint_alone(on_data: Callable, monkeypatc
     assert all(torch.equal(value, before[key]) for key, value in load_checkpoint(general)[0].encoder.items())
     refused = on_data("meta", "--rule", rule, "--checkpoint", folder / f"{rule}-photo.safetensors").error
     assert says(refused, f"{rule}-photo", "--observe photo", "reference")
-    assert "tuned Adam" in on_data("quickft", "--observe", "photo", "--checkpoint", folder).err
+    assert "no Adam" not in on_data("quickft", "--observe", "photo", "--checkpoint", folder).err
     other = on_data("quickft", "--checkpoint", folder).err
-    assert f"metapp quickft {SVBRDF} --train --observe reference --data" in other
+    assert (
+        f"no Adam was tuned for this encoder, so that the recipe's Adam is used; tune one by metapp quickft {SVBRDF}"
+        in other
+    )
 
 
 def test_observe_option_selects_protocols_in_evaluations() -> None:

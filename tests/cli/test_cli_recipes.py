@@ -32,15 +32,16 @@ from metapp.extensions.scene_files import scene_reader
 from metapp.extensions.viewer.pages import transport as page
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import find_checkpoint
-from metapp.runs.choice import choose_recipe, find_and_choose
-from metapp.runs.fit_options import FitOptions, fit_options
-from metapp.runs.inputs.finding import find_sources
-from metapp.storage.fit_store import PARAMS, read_fit_records, read_params
+from metapp.runs.fitting import Fitter
+from metapp.runs.resolve import complete
+from metapp.runs.spec import Spec
+from metapp.runs.stored_fits import read_fits
+from metapp.storage.fit_folders import PARAMS, read_params
 from tests.anisotropic import measure_with_noise
 from tests.appearance.test_features import random_weights
 from tests.cli.messages import says
 from tests.cli.test_cli_protocols import ball, flash, strip
+from tests.kept_fits import resolve_inputs
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
 from tests.pictures import write_noise_map, write_noise_photo
@@ -136,10 +137,10 @@ def mark(case: Case) -> Any:
     return pytest.param(case, marks=pytest.mark.slow) if case.recipe.startswith("paper") else long(case)
 
 
-def ships_checkpoint(options: FitOptions) -> bool:
-    """Return whether a checkpoint ships by which these options fit; one that does not belong to the recipe raises."""
+def ships_checkpoint(spec: Spec) -> bool:
+    """Return whether a checkpoint ships by which a specification fits; one that does not belong to it raises."""
     try:
-        find_checkpoint(find_and_choose(options))
+        Fitter.of(complete(spec))
     except ValueError as error:
         if "no checkpoint ships" not in str(error):
             raise
@@ -158,16 +159,20 @@ def command_of(case: Case, folder: Path) -> list[str | Path]:
     for number, write in enumerate(INPUTS[case.app]):
         (folder / str(number)).mkdir(parents=True)
         inputs = [write(folder / str(number), name) for name in NAMES]
-        options = fit_options(case.app, paradigm, inputs)
-        choices.append((choose_recipe(options, find_sources(options)), inputs))
-    of_protocol = [(choice.name, inputs) for choice, inputs in choices if choice.observes == case.observes]
-    chosen = next((inputs for recipe, inputs in of_protocol if recipe == case.recipe), None)
+        specs, _ = resolve_inputs(case.app, *inputs, paradigm=paradigm)
+        choices.append((specs, inputs))
+    of_protocol = [
+        ({spec.recipe for spec in specs}, inputs)
+        for specs, inputs in choices
+        if {spec.observe for spec in specs} == {case.observes}
+    ]
+    chosen = next((inputs for recipes, inputs in of_protocol if recipes == {case.recipe}), None)
     assert chosen or not entry.suits, f"INPUTS has no inputs of {entry.inputs}: add some that choose {case}"
     if chosen:
         return [paradigm, case.app, *chosen, "--steps", "2"]
     inputs = of_protocol[0][1]
-    options = fit_options(case.app, paradigm, inputs, recipe=case.recipe, observe=case.observes)
-    paradigm = paradigm if ships_checkpoint(options) else "overfit"
+    spec = Spec(app=case.app, paradigm=paradigm, recipe=case.recipe, observe=case.observes)
+    paradigm = paradigm if ships_checkpoint(spec) else "overfit"
     return [paradigm, case.app, *inputs, "--recipe", case.recipe, "--steps", "2"]
 
 
@@ -215,12 +220,12 @@ def run(metapp: Callable, command: list[str | Path]) -> Path:
 
 @pytest.mark.parametrize("case", [case if case in QUICK_CASES else mark(case) for case in CASES], ids=str)
 def test_fits_are_opened_again(case: Case, metapp: Callable, command: list[str | Path], run: Path) -> None:
-    records = read_fit_records(run)
-    assert [record.name for record in records] == list(NAMES)
-    for record in records:
-        settings, fit = record.settings, api.load(record.folder)
-        assert (settings.app, settings.observe, settings.recipe) == case
-        assert (fit.name, fit.error, fit.settings) == (record.name, record.error, settings.document())
+    kept = read_fits(run)
+    assert [fit.name for fit in kept] == list(NAMES)
+    for record in kept:
+        spec, fit = record.spec, api.load(record.folder)
+        assert (spec.app, spec.observe, spec.recipe) == case
+        assert fit == record
         stored = read_params(record.folder)
         assert all(torch.equal(fit.parameters[key], value) for key, value in stored.items())
         theta = {key: value[None] for key, value in fit.parameters.items()}

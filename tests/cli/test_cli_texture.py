@@ -20,7 +20,7 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.entries import load_reference
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
-from metapp.storage.fit_store import read_fit_records
+from metapp.runs.stored_fits import read_fits
 from tests.appearance.test_features import random_weights
 from tests.cli.messages import says
 from tests.pictures import write_noise_photo
@@ -102,11 +102,11 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
     with monkeypatch.context() as patch:
         patch.setenv(features.FLOAT32_VARIABLE, "1")
         long = fit("long")
-    (one,), (other,) = (read_fit_records(run) for run in (short_app, long))
+    (one,), (other,) = (read_fits(run) for run in (short_app, long))
     if app == "svbrdf_stationary":  # whose fits gain less by it
         assert (one.settings, one.error) == (other.settings, other.error)
         return
-    assert one.settings.document() == other.settings.document() | {"precision": "VGG in bfloat16"}
+    assert one.spec.conditions == other.spec.conditions | {"precision": "VGG in bfloat16"}
     assert one.error is not None
     assert other.error is not None
     assert 0 < abs(one.error - other.error) < 0.01 * other.error

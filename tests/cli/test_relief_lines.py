@@ -8,8 +8,9 @@ from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.surface import photograph_maps, scale_relief
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES, relief_lines
-from metapp.storage.fit_records import FitRecord
+from metapp.runs.fit import Fit
 from tests.cli.messages import says
+from tests.kept_fits import fit_of
 
 SIDE = 48  # px
 VISIBLE = 0.02  # of display values, the mean of pictures under three lights
@@ -48,9 +49,9 @@ def difference_of_readings(maps: Maps) -> float:
     return sum(float((relief - inverse).abs().mean()) for relief, inverse in pairs) / len(pairs)
 
 
-def fit_of_tilt(degrees: float, **counts: int) -> FitRecord:
+def fit_of_tilt(degrees: float, **counts: int) -> Fit:
     """Return the record of a fit whose normals have a mean tilt."""
-    return FitRecord(name="wall", error=None, counts=counts, figures={"mean_tilt_degrees": degrees})
+    return fit_of("wall", error=None, counts=counts, figures={"mean_tilt_degrees": degrees})
 
 
 @pytest.mark.parametrize("seed", range(20, 40))  # the threshold was chosen on 0 to 19
@@ -64,7 +65,7 @@ def test_dents_and_bumps_cause_a_line_where_they_look_different(seed: int, times
 
 def test_each_run_prints_one_line_about_dents() -> None:
     steep, flat, several = fit_of_tilt(9.0), fit_of_tilt(0.4), fit_of_tilt(9.0, photos=5)
-    assert relief_lines([FitRecord(name="gold", error=1.0)]) == []
+    assert relief_lines([fit_of("gold")]) == []
     for fits, facts, is_doubtful in (
         ([flat] * 3, ("0.4 degrees", "median of 3", "up to 0.4"), False),
         ([flat, flat, steep], ("0.4 degrees", "median of 3", "up to 9.0"), True),

@@ -9,7 +9,7 @@ from metapp.evaluation.rows import describe_winner, paired_columns_note, paper_f
 from metapp.evaluation.table import flatten_row
 from metapp.evaluation.tables.convergence import FURTHER_STEPS, further_steps_needed, is_near
 from metapp.evaluation.tables.results import describe_error_change
-from metapp.storage.fit_records import FitRecord
+from tests.kept_fits import fit_of
 
 
 def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
@@ -81,6 +81,6 @@ def test_further_steps_are_counted_until_one_is_near() -> None:
         (1.0, [(0, 2.0), (FURTHER_STEPS[-1], 1.02)], None),
     ):
         figures = {"curves": {"overfit": [[0, 9.0], [40, overfit]]}, "further": further}
-        assert further_steps_needed(FitRecord(name="a", error=None, figures=figures)) == expected
+        assert further_steps_needed(fit_of(name="a", error=None, figures=figures)) == expected
     # lower is better, also below 0
     assert [is_near(error, -4.0) for error in (-3.97, -3.95, -4.5)] == [True, False, True]

@@ -74,13 +74,14 @@ def read_scene(folder: Path, file: Path) -> None:
 def read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack_tasks
-    from metapp.registry import registry
-    from metapp.runs.inputs.run_inputs import read_test_tasks
+    from metapp.runs.inputs.finding import find_in_data_set
+    from metapp.runs.spec import Spec
     from metapp.storage.shards import fingerprint, list_data_set_problems
 
     fingerprint(folder)
     list_data_set_problems(folder)
-    tasks = read_test_tasks(registry().applications["brdf"], Brdf(), folder, True)[0]
+    spec = Spec(app="brdf")
+    tasks = [one.read_task(spec, Brdf()) for one in find_in_data_set(spec, folder)]
     for task in tasks:
         finite(task)
     stack_tasks(Brdf(), tasks)
@@ -97,16 +98,15 @@ def small_tasks() -> Any:
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """Read files as --checkpoint, and take one step of a fit."""
+    from metapp.paradigms.methods import fit_tasks
+    from metapp.runs.fitting import Fitter
+    from metapp.runs.resolve import complete
+    from metapp.runs.spec import Spec
 
-    from metapp.runs.checkpoint_selection import find_checkpoint
-    from metapp.runs.choice import find_and_choose
-    from metapp.runs.fit_options import fit_options
-
-    options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = find_and_choose(fit_options("brdf", **options, device="cpu", quiet=True))
-    phi = find_checkpoint(by).phi
+    spec = Spec(app="brdf", rule=file.stem, recipe="quick", steps=1, checkpoint=file, device="cpu")
+    method = Fitter.of(complete(spec)).method
     try:
-        theta = by.paradigm.fit(phi, small_tasks(), torch.Generator().manual_seed(0))
+        theta = fit_tasks(method, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged
         return
     assert all(bool(value.isfinite().all()) for value in theta.values())
@@ -114,18 +114,17 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """Read files as a table does, which shows all finished tasks."""
-    from metapp.storage.fit_records import Settings, summary
-    from metapp.storage.fit_store import FitStore
+    from metapp.runs.fit_tables import summarise
+    from metapp.runs.stored_fits import read_fits
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)
     shutil.copy(file, place)
-    records = FitStore(folder / "fits", Settings(app="brdf", steps=10), timed=True).records()
-    for record in records.values():
-        numbers = [record.seconds, *([] if record.error is None else [record.error])]
+    fits = read_fits(folder / "fits")
+    for fit in fits:
+        numbers = [number for number in (fit.seconds, fit.error) if number is not None]
         assert all(math.isfinite(number) for number in numbers)
-    if records:
-        summary(list(records.values()))
+    summarise(fits)
 
 
 images = functools.partial(functools.partial, files.image_files)

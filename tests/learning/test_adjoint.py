@@ -26,7 +26,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rounding import smooth_absolute
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
-from metapp.paradigms.adam import encoder_prediction
+from metapp.paradigms.trainings import encoder_prediction
 from tests.learning.parabolas import refuse_to_draw
 from tests.paradigms.small import FEATURE_NETWORK, SMALL_APPLICATIONS, applicable_rules, small_app
 

@@ -5,9 +5,9 @@ import functools
 import pytest
 
 from metapp.learning.app import App, stack_tasks
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms.paradigm import Paradigm
-from tests.paradigms.small import NETWORK_KINDS, SMALL_APPLICATIONS, paradigms_of, small_app, small_recipe
+from tests.paradigms.small import NETWORK_KINDS, SMALL_APPLICATIONS, small_app, small_recipe
 
 
 @pytest.fixture(autouse=True)
@@ -58,6 +58,6 @@ def _second_scene_where_needed(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture
-def fits(app: App) -> dict[str, Paradigm]:
-    """The five paradigms of the application, by name."""
-    return paradigms_of(app, small_recipe(app))
+def recipe(app: App) -> Recipe:
+    """The small recipe of the application."""
+    return small_recipe(app)

@@ -44,9 +44,6 @@ from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.networks.quilted import LightGrid
-from metapp.paradigms import PARADIGMS, paradigm_of
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState
 from metapp.registry import registry
 from tests.marked import long
@@ -207,17 +204,10 @@ def seeded_generator(seed: int = 0) -> Generator:
     return Generator().manual_seed(seed)
 
 
-def paradigms_of(app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> dict[str, Paradigm]:
-    """Return the five paradigms of an application, by name."""
-    return {name: paradigm_of(name).of(app, recipe, rule, steps) for name in PARADIGMS}
-
-
-def untrained_phi(paradigm: Paradigm) -> MetaParameters:
-    """Return phi with a random encoder, a random theta_0 and the initial hyperparameters of the paradigm's rule."""
-    app = paradigm.app
+def untrained_phi(app: App, recipe: Recipe, rule: str = "") -> MetaParameters:
+    """Return phi with a random encoder, a random theta_0 and the initial hyperparameters of a rule."""
     theta = {key: value[0] for key, value in app.init(seeded_generator(1), 1).items()}
-    rule = paradigm.learned_rule if isinstance(paradigm, Meta) else rule_of(paradigm.recipe.rule)
-    alpha = rule.initial_alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
+    alpha = rule_of(rule or recipe.rule).initial_alpha(app, theta, recipe.steps, Adam(5e-3, beta2=0.99))
     return MetaParameters(theta, alpha, app.init_encoder(seeded_generator(2)))
 
 
@@ -226,10 +216,10 @@ def best_state(training: Iterable[TrainState]) -> TrainState:
     return final_item(training)
 
 
-def untrained_checkpoint(paradigm: Paradigm) -> MetaParameters:
+def untrained_checkpoint(paradigm: str, app: App, recipe: Recipe, rule: str = "") -> MetaParameters:
     """Return the parts of phi that the training of a paradigm would learn, untrained."""
-    phi = untrained_phi(paradigm)
-    return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)
+    phi = untrained_phi(app, recipe, rule)
+    return phi._replace(encoder={}) if paradigm == "meta" else MetaParameters(encoder=phi.encoder)
 
 
 # each application with its own rule, and each other rule with BRDFs, the fastest, instead of all combinations

@@ -12,14 +12,15 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from metapp.learned_rules import rule_of
 from metapp.learning import learn as learning
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, check_finite_losses, descend, final_item, task_loss
-from metapp.learning.recipe import Adam, Guard
-from metapp.learning.task import Batch, Tasks
+from metapp.learning.recipe import Adam, Guard, Recipe
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms import PARADIGMS
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms.methods import descend_tasks, fit_tasks, make_method, number_of_steps
+from metapp.paradigms.trainings import trainings_of
 from tests.marked import long
 from tests.paradigms.small import (
     KINDS_AND_RULES,
@@ -27,7 +28,6 @@ from tests.paradigms.small import (
     OWN_RULES,
     QUILTED_TEXTURE,
     SMALL_APPLICATIONS,
-    paradigms_of,
     seeded_generator,
     small_app,
     small_recipe,
@@ -42,23 +42,22 @@ SLOWEST = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture
 
 
 @pytest.mark.parametrize("name", list(PARADIGMS))
-def test_each_paradigm_fits_tasks(name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_each_paradigm_fits_tasks(name: str, app: App, recipe: Recipe, tasks: Tasks) -> None:
     """Parameters of the same network, detached, finite, the same for the same seed; errors for every task."""
-    paradigm, few_tasks = fits[name], tasks.select([0, 5, 2])
-    prepared = untrained_checkpoint(paradigm)
-    theta = paradigm.fit(prepared, few_tasks, seeded_generator())
+    method, few_tasks = make_method(name, app, recipe, untrained_checkpoint(name, app, recipe)), tasks.select([0, 5, 2])
+    theta = fit_tasks(method, few_tasks, seeded_generator())
     network = {key: tuple(value.shape) for key, value in app.init(seeded_generator(), 3).items()}
     given = {key: tuple(value.shape) for key, value in app.task_parameters(few_tasks).items()}
     shapes = {key: tuple(value.shape) for key, value in theta.items()}
     # an encoder's prediction may have the parameters that tasks determine, which steps need
-    assert shapes == network | given or (not paradigm.steps and shapes == network)
+    assert shapes == network | given or (not method.steps and shapes == network)
     assert {value.dtype for value in theta.values()} == {torch.float32}
     assert not any(value.requires_grad for value in theta.values())
-    again = paradigm.fit(prepared, few_tasks, seeded_generator())
+    again = fit_tasks(method, few_tasks, seeded_generator())
     torch.testing.assert_close(theta, again, rtol=0, atol=0)
-    other = paradigm.fit(prepared, few_tasks, seeded_generator(9))
+    other = fit_tasks(method, few_tasks, seeded_generator(9))
     # without steps nothing need be random: an encoder may look at all there is
-    if name == "overfit" or (paradigm.steps and not app.deterministic):
+    if name == "overfit" or (method.steps and not app.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
     elif app.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
@@ -67,11 +66,9 @@ def test_each_paradigm_fits_tasks(name: str, app: App, fits: dict[str, Paradigm]
     assert torch.isfinite(errors["error"]).all()
 
 
-def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, fits: dict[str, Paradigm]) -> None:
-    recipe = fits["meta"].recipe
-
-    def names(paradigm: Paradigm) -> tuple[str, ...]:
-        return tuple(training.name for training in paradigm.trainings)
+def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, recipe: Recipe) -> None:
+    def names(paradigm: str) -> tuple[str, ...]:
+        return tuple(training.name for training in trainings_of(paradigm, app, recipe))
 
     expected = {
         "general": (("general",), 0),
@@ -80,23 +77,26 @@ def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, fits: 
         "quickft": (("general", "quickft"), recipe.steps),
         "meta": ((recipe.rule,), recipe.steps),
     }
-    assert {name: (names(paradigm), paradigm.steps) for name, paradigm in fits.items()} == expected
-    assert {name: paradigm.steps for name, paradigm in paradigms_of(app, recipe, steps=7).items()} == {
-        name: 0 if name == "general" else 7 for name in expected
-    }
+    assert {name: (names(name), number_of_steps(name, recipe)) for name in PARADIGMS} == expected
+    for name, (_, steps) in expected.items():
+        phi = untrained_checkpoint(name, app, recipe)
+        methods = [make_method(name, app, recipe, phi, steps=requested) for requested in (None, 7)]
+        assert [method.steps for method in methods] == [steps, number_of_steps(name, recipe, 7)]
+        assert number_of_steps(name, recipe, 7) == (0 if name == "general" else 7)
+        adam = {"overfit": recipe.overfit, "finetune": recipe.finetune, "quickft": recipe.quickft}.get(name)
+        assert [method.adam for method in methods] == [adam, adam]
 
 
 @pytest.mark.parametrize(
     ("app", "rule"), [*KINDS_AND_RULES, ("brdf", "meta-adam"), ("brdf", "meta-sgd-loss")], indirect=["app"]
 )
-def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    meta = Meta.of(fits["meta"].app, fits["meta"].recipe, rule)
-    start = untrained_checkpoint(meta)
-    theta = meta.fit(start, tasks.select([0, 1]), seeded_generator())
+def test_meta_fits_by_every_rule(rule: str, app: App, recipe: Recipe, tasks: Tasks) -> None:
+    start = untrained_checkpoint("meta", app, recipe, rule)
+    theta = fit_tasks(make_method("meta", app, recipe, start, rule=rule), tasks.select([0, 1]), seeded_generator())
     assert all(torch.isfinite(value).all() for value in theta.values())
     assert not all(torch.equal(theta[key][0], value) for key, value in start.theta.items())
-    longer = replace(meta, steps=meta.recipe.steps + 2).fit(start, tasks, seeded_generator())
-    assert all(torch.isfinite(value).all() for value in longer.values())
+    longer = make_method("meta", app, recipe, start, rule=rule, steps=recipe.steps + 2)
+    assert all(torch.isfinite(value).all() for value in fit_tasks(longer, tasks, seeded_generator()).values())
 
 
 # quilts have low errors before the first step; tests/apps/test_quilted_texture.py says what steps change
@@ -105,50 +105,53 @@ def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Ta
     [long(kind) if kind in SLOWEST else kind for kind in NETWORK_KINDS if kind != QUILTED_TEXTURE],
     indirect=True,
 )
-def test_overfit_lowers_the_error(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    few_tasks, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], steps=300)
+def test_overfit_lowers_the_error(app: App, recipe: Recipe, tasks: Tasks) -> None:
+    few_tasks = tasks.select([0, 1, 2, 3])
+    overfit = make_method("overfit", app, recipe, MetaParameters(), steps=300)
     before = app.errors(app.init(seeded_generator(), 4), few_tasks)["error"]
-    after = app.errors(overfit.fit(MetaParameters(), few_tasks, seeded_generator()), few_tasks)["error"]
+    after = app.errors(fit_tasks(overfit, few_tasks, seeded_generator()), few_tasks)["error"]
     assert (after < 0.7 * before).all()
     assert after.mean() < 0.5 * before.mean()
 
 
-def test_without_steps_a_fit_is_its_initialisation(fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_without_steps_a_fit_is_its_initialisation(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """That is General's prediction, of Meta, too, where an encoder was trained through its steps, else theta_0."""
-    phi, none = untrained_phi(fits["meta"]), {name: replace(paradigm, steps=0) for name, paradigm in fits.items()}
-    general = fits["general"].fit(phi, tasks, seeded_generator())
+
+    def fit(name: str, phi: MetaParameters, steps: int | None = 0) -> Params:
+        return fit_tasks(make_method(name, app, recipe, phi, steps=steps), tasks, seeded_generator())
+
+    phi = untrained_phi(app, recipe)
     coded = phi._replace(theta={})
-    result = [(none[name].fit(coded, tasks, seeded_generator()), general) for name in ("finetune", "quickft", "meta")]
+    general = fit("general", phi)
+    result = [(fit(name, coded._replace(alpha={})), general) for name in ("finetune", "quickft")]
     theta_0 = {key: value.expand(len(tasks), *value.shape) for key, value in phi.theta.items()}
-    result.append((none["meta"].fit(phi._replace(encoder={}), tasks, seeded_generator()), theta_0))
+    result += [(fit("meta", coded), general), (fit("meta", phi._replace(encoder={})), theta_0)]
     for theta, expected in result:
         assert all(torch.equal(theta[key], value) for key, value in expected.items())
-    moved = fits["meta"].fit(coded, tasks, seeded_generator())
+    moved = fit("meta", coded, steps=None)
     assert all(value.isfinite().all() for value in moved.values())
     assert not all(torch.equal(moved[key], value) for key, value in general.items())
 
 
 @pytest.mark.parametrize("name", list(PARADIGMS))
-def test_fits_side_by_side_are_as_if_each_were_alone(
-    name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks
-) -> None:
+def test_fits_side_by_side_are_as_if_each_were_alone(name: str, app: App, recipe: Recipe, tasks: Tasks) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
-    paradigm, rows = paradigms_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
-    prepared, several = untrained_checkpoint(paradigm), tasks.select(rows)
-    loss = task_loss(app, paradigm.recipe.samples)
-    together = final_item(paradigm.descend(prepared, several, tuple(seeded_generator(row) for row in rows)))
-    starts = paradigm.initialisation(prepared, several, tuple(seeded_generator(row) for row in rows))
+    method = make_method(name, app, recipe, untrained_checkpoint(name, app, recipe), steps=3)
+    rows = [4, 0, 7]
+    several, loss = tasks.select(rows), task_loss(app, recipe.samples)
+    together = final_item(descend_tasks(method, several, tuple(seeded_generator(row) for row in rows)))
+    starts = method.start(several, tuple(seeded_generator(row) for row in rows))
     drawn = loss.draw(several, tuple(seeded_generator(row) for row in rows), 0.0).batch
-    assert (paradigm.guard is not None) == (name == "meta")  # only learned rules are guarded
+    assert (method.guard is not None) == (name == "meta")  # only learned rules are guarded
     assert (None if together.guarded is None else together.guarded.shape) == ((3,) if name == "meta" else None)
     errors = app.errors(together.theta, several)["error"]
     for i, row in enumerate(rows):
         one = tasks.select([row])
-        for key, value in paradigm.initialisation(prepared, one, seeded_generator(row)).items():
+        for key, value in method.start(one, seeded_generator(row)).items():
             torch.testing.assert_close(starts[key][i : i + 1], value)
         for key, value in loss.draw(one, seeded_generator(row), 0.0).batch.items():
             assert torch.equal(drawn[key][i : i + 1], value)
-        alone = final_item(paradigm.descend(prepared, one, seeded_generator(row)))
+        alone = final_item(descend_tasks(method, one, seeded_generator(row)))
         if together.guarded is not None:
             assert alone.guarded is not None
             assert bool(alone.guarded[0]) == bool(together.guarded[i])
@@ -156,33 +159,34 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
         torch.testing.assert_close(errors[i : i + 1], app.errors(alone.theta, one)["error"], rtol=1e-3, atol=1e-5)
 
 
-def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_a_rule_that_fails_is_guarded(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """With absurd rates no task ends above its initialisation on what it sees, in any application."""
-    meta, few_tasks = fits["meta"], tasks.select([0, 1, 2])
-    assert isinstance(meta, Meta)
-    prepared, rule = untrained_checkpoint(meta), meta.learned_rule
-    alpha = rule.initial_alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
-    found = final_item(meta.descend(prepared._replace(alpha=alpha), few_tasks, seeded_generator()))
+    few_tasks, phi, rule = tasks.select([0, 1, 2]), untrained_checkpoint("meta", app, recipe), rule_of(recipe.rule)
+    alpha = rule.initial_alpha(app, phi.theta, recipe.steps, Adam(1e4))
+    meta = make_method("meta", app, recipe, phi._replace(alpha=alpha))
+    found = final_item(descend_tasks(meta, few_tasks, seeded_generator()))
     assert found.guarded is not None
     if rule.name != "ridge":  # which has no rates
         assert found.guarded.tolist() == [True] * 3
-    first, batch = (
-        meta.initialisation(prepared, few_tasks, seeded_generator()),
-        app.sample(few_tasks, seeded_generator(), meta.recipe.samples),
-    )
+    first = meta.start(few_tasks, seeded_generator())
+    batch = app.sample(few_tasks, seeded_generator(), recipe.samples)
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
     assert all(value.isfinite().all() for value in found.theta.values())
 
 
 def test_guard_thresholds_hold_for_named_rules_with_the_recipes_steps(app: App) -> None:
     recipe = recipes_of(app.name)["quick"]
+
+    def guard_of(rule: str, steps: int | None = None) -> Guard | None:
+        return make_method("meta", app, recipe, MetaParameters(), rule=rule, steps=steps).guard
+
     plain = Guard(recipe.quickft)
     for rule, training in recipe.meta.items():
-        meta = Meta.of(app, recipe, rule)
-        assert meta.guard == (training.guard or plain)
-        assert Meta.of(app, recipe, rule, recipe.steps + 1).guard == plain
-        assert 0 < meta.guard.max_loss_share <= 1
-    assert Meta.of(app, recipe, "meta-sgd-loss").guard == plain
+        guard = guard_of(rule)
+        assert guard == (training.guard or plain)
+        assert guard_of(rule, recipe.steps + 1) == plain
+        assert 0 < guard.max_loss_share <= 1
+    assert guard_of("meta-sgd-loss") == plain
 
 
 # What an application makes of tasks
@@ -293,16 +297,17 @@ def reading_nothing(allowed: tuple[str, ...]) -> Iterator[None]:
 def test_steps_do_not_synchronise_with_the_device(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the check that the first loss is finite reads a value back."""
     app = small_app(kind, protocol)
-    meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
+    recipe, rule = small_recipe(app), OWN_RULES[kind]
+    phi = untrained_checkpoint("meta", app, recipe, rule)
+    meta = make_method("meta", app, recipe, phi, rule=rule, steps=STEPS)
     tasks = stack_tasks(app, SMALL_APPLICATIONS[app.name].tasks()[:2])
-    prepared = untrained_checkpoint(meta)
-    loss = meta.loss
+    assert meta.rule is not None
 
     def fit(where: AbstractContextManager[None]) -> None:
-        theta = meta.initialisation(prepared, tasks, seeded_generator())
-        rule, draws = meta.rule(prepared, theta, STEPS), seeded_generator()
+        theta = meta.start(tasks, seeded_generator())
+        rule, draws = meta.rule(theta), seeded_generator()
         with where:
-            final_item(check_finite_losses(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
+            final_item(check_finite_losses(descend(theta, rule, tasks, meta.loss, steps=STEPS, rng=draws), every=0))
 
     fit(nullcontext())  # constants are made at their first use
     monkeypatch.setattr(learning, "_require_finite", lambda *args: None)

@@ -15,12 +15,12 @@ from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import ADAM_SEARCH, Adam
+from metapp.learning.recipe import ADAM_SEARCH, Adam, Recipe
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms.adam import QuickFT
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms import PARADIGMS
+from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.paradigms.training import TrainState, split_validation, train_phi, validation_error
+from metapp.paradigms.trainings import Training, adam_search, general_training, rule_training, trainings_of
 from tests.marked import long
 from tests.paradigms.small import (
     GENERATING_KINDS_BUT_BRDF_LONG,
@@ -28,7 +28,6 @@ from tests.paradigms.small import (
     KINDS_BUT_BRDF_LONG,
     OWN_RULES,
     best_state,
-    paradigms_of,
     seeded_generator,
     small_recipe,
     untrained_checkpoint,
@@ -69,17 +68,18 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
             return 0 * self.loss(theta, batch, loss_parameters) + 7
 
     judged = Judged(NBRDF_NETWORK)
-    (training,) = paradigms_of(judged, small_recipe(judged))[name].trainings
+    (training,) = trainings_of(name, judged, small_recipe(judged))
     phi = training.first_phi(None, tasks, seeded_generator())
+    assert training.outer_loss is not None
     loss = training.outer_loss(phi)
     values = loss.value(phi.flatten(), loss.draw(tasks, seeded_generator(), 0.0).batch, {})
     assert torch.equal(values, torch.full_like(values, 7))
 
 
 @pytest.mark.parametrize("app", ["brdf"], indirect=True)
-def test_validation_counts_kinds_alike(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_validation_counts_kinds_alike(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """One material of another kind counts as much as all others."""
-    general, start = fits["general"], MetaParameters(encoder=app.init_encoder(seeded_generator(0)))
+    general, start = general_training(app, recipe), MetaParameters(encoder=app.init_encoder(seeded_generator(0)))
     apart = [validation_error(general, start, tasks.select(rows)) for rows in ([0], range(1, len(tasks)))]
     kinds = torch.tensor([[i == 0] for i in range(len(tasks.names))])
     mixed = replace(tasks, data=tasks.data | {"kind": kinds})
@@ -100,18 +100,22 @@ EVERY = pytest.mark.parametrize(
 
 
 @pytest.fixture
-def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
-    """What prepares the checkpoint of a name."""
-    return fits[name] if name in fits else Meta.of(fits["meta"].app, fits["meta"].recipe, name)
+def training(name: str, app: App, recipe: Recipe) -> Training:
+    """The training of the checkpoint of a paradigm or a rule."""
+    return training_of(name, app, recipe)
 
 
-def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return best_state(train_phi(paradigm.trainings[-1], tasks, seeded_generator(3), **options))
+def training_of(name: str, app: App, recipe: Recipe) -> Training:
+    return trainings_of(name, app, recipe)[-1] if name in PARADIGMS else rule_training(app, recipe, name)
+
+
+def look(training: Training, tasks: Tasks, **options: Any) -> TrainState:
+    return best_state(train_phi(training, tasks, seeded_generator(3), **options))
 
 
 @EVERY
-def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
-    prepared = look(trained, tasks)
+def test_the_best_state_is_kept(training: Training, tasks: Tasks) -> None:
+    prepared = look(training, tasks)
     steps, losses, errors = zip(*prepared.curve, strict=True)
     assert steps == (0, 2, 4, 6)
     assert prepared.validation == min(errors) <= errors[0]
@@ -119,30 +123,29 @@ def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
     assert losses[0] is None
     assert all(loss is not None and math.isfinite(loss) for loss in losses[1:])
     validation = split_validation(tasks)[1]
-    assert math.isclose(validation_error(trained, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
-    again = look(trained, tasks)
+    assert math.isclose(validation_error(training, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
+    again = look(training, tasks)
     assert again.curve[1:] == prepared.curve[1:]
     assert all(torch.equal(again.phi.flatten()[key], value) for key, value in prepared.phi.flatten().items())
 
 
 @ONE_APP
-def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Tasks) -> None:
+def test_augmented_variants_of_validation_tasks_may_validate(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """Each validation task twice, with the same draws at every validation."""
-    recipe = small_recipe(app)
     changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
-    meta = Meta.of(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
-    *_, state = train_phi(meta.trainings[-1], tasks, seeded_generator())
+    training = rule_training(app, replace(recipe, meta={recipe.rule: changed}))
+    *_, state = train_phi(training, tasks, seeded_generator())
     validation = split_validation(tasks)[1]
     variants = app.augment(validation.select([*range(len(validation))] * 2), seeded_generator(0))
-    assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
+    assert state.validation == pytest.approx(validation_error(training, state.phi, variants), rel=1e-6)
 
 
 @ONE_APP
 @pytest.mark.parametrize("name", ["general", "meta-sgd"])
-def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -> None:
+def test_a_start_that_only_gets_worse_is_kept(training: Training, tasks: Tasks) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
-    before, errors = look(trained, tasks, steps=0), itertools.count(1)
-    prepared = look(trained, tasks, validate=lambda *_: float(next(errors)))
+    before, errors = look(training, tasks, steps=0), itertools.count(1)
+    prepared = look(training, tasks, validate=lambda *_: float(next(errors)))
     assert (prepared.best_step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
     assert all(torch.equal(prepared.phi.flatten()[key], value) for key, value in before.phi.flatten().items())
@@ -151,30 +154,30 @@ def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -
 @pytest.mark.parametrize("app", GENERATING_KINDS_BUT_BRDF_LONG, indirect=True)
 @pytest.mark.parametrize(("name", "steps", "rate"), [("general", 100, 2e-3), ("meta-curvature", 30, 2e-2)])
 def test_preparing_improves_what_it_is_prepared_for(
-    name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
+    name: str, steps: int, rate: float, app: App, recipe: Recipe, tasks: Tasks
 ) -> None:
     """The improvement is a share of the error's size, since errors may be negative."""
-    longer = replace(trained.trainings[-1].outer_loop, steps=steps, rates={"": rate}, validate_every=10)
+    longer = replace(training_of(name, app, recipe).outer_loop, steps=steps, rates={"": rate}, validate_every=10)
     changed: dict[str, Any] = {"general": longer} if name == "general" else {"meta": {name: longer}}
-    prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
+    prepared = look(training_of(name, app, replace(recipe, **changed)), tasks)
     first = prepared.curve[0][2]
     assert first - prepared.validation > 0.1 * abs(first)
 
 
-def meta_by(meta: Paradigm, **settings: Any) -> Paradigm:
-    """Meta with other settings of its training."""
-    recipe = meta.recipe
-    return Meta.of(meta.app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **settings)}))
+def meta_training(app: App, recipe: Recipe, **settings: Any) -> Training:
+    """Return Meta's training by other settings."""
+    return rule_training(app, replace(recipe, meta={recipe.rule: replace(recipe.meta[recipe.rule], **settings)}))
 
 
-def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """It starts at random where a setting says so, and where there is no General."""
-    encoder = untrained_checkpoint(fits["general"])
-    predicted = fits["general"].fit(encoder, split_validation(tasks)[0], seeded_generator(3))
+    encoder = untrained_checkpoint("general", app, recipe)
+    general = make_method("general", app, recipe, encoder)
+    predicted = fit_tasks(general, split_validation(tasks)[0], seeded_generator(3))
     mean = {key: value.mean(0) for key, value in predicted.items()}
     random = {key: value[0] for key, value in app.init(seeded_generator(3), 1).items()}
     for start, given, expected in (("mean", encoder, mean), ("random", encoder, random), ("mean", None, random)):
-        phi = look(meta_by(fits["meta"], initialisation=start), tasks, general=given, steps=0).phi
+        phi = look(meta_training(app, recipe, initialisation=start), tasks, general=given, steps=0).phi
         assert not phi.encoder
         for key, value in expected.items():
             if expected is mean:
@@ -184,13 +187,13 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[
 
 
 @pytest.mark.parametrize("app", KINDS_BUT_BRDF_LONG, indirect=True)
-def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_meta_goes_on_from_general(app: App, recipe: Recipe, tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
-    encoder, meta = untrained_checkpoint(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
-    first = look(meta, tasks, general=encoder, steps=0).phi
+    encoder = untrained_checkpoint("general", app, recipe)
+    first = look(meta_training(app, recipe, initialisation="encoder"), tasks, general=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
-    meta = meta_by(meta, steps=20, rates={"": 1e-3}, validate_every=5)
+    meta = meta_training(app, recipe, initialisation="encoder", steps=20, rates={"": 1e-3}, validate_every=5)
     prepared = look(meta, tasks, general=encoder)
     assert prepared.best_step > 0
     assert prepared.validation < prepared.curve[0][2]
@@ -204,14 +207,14 @@ def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> N
 @pytest.mark.parametrize(
     ("app", "name"), [*((app, "general") for app in OWN_RULES), ("brdf", "meta-sgd")], indirect=["app"]
 )
-def test_training_never_sees_a_validation_task(trained: Paradigm, tasks: Tasks) -> None:
+def test_training_never_sees_a_validation_task(training: Training, tasks: Tasks) -> None:
     """With the data of the validation tasks spoilt, the training loss stays finite."""
     rows = split_validation(tasks)[1].rows
     spoilt = {}
     for key, value in tasks.data.items():
         has_task_axis = value.stride(0) != 0  # what all tasks share is no task's
         spoilt[key] = value.float().index_fill(0, rows, math.nan) if has_task_axis else value
-    prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12, validate=lambda *_: 1.0)
+    prepared = look(training, Tasks(tasks.names, spoilt, tasks.rows), steps=12, validate=lambda *_: 1.0)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
 
 
@@ -242,18 +245,23 @@ class Search:
     """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
     def __init__(self, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
-        self.quickft = QuickFT.of(app_by_recipe("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
+        self.training = adam_search(app_by_recipe("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
         self.looked: list[Adam] = []
 
-        def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Any) -> float:
-            assert paradigm == self.quickft
-            self.looked.append(self.quickft.adam(prepared))
+        def told(training: Training, prepared: MetaParameters, tasks: Any) -> float:
+            assert training == self.training
+            self.looked.append(self.adam_of(prepared))
             return error(self.looked[-1])
 
-        (*_, training) = self.quickft.trainings
-        self.path = list(train_phi(training, TASKS, seeded_generator(), general=GENERAL, validate=told))
+        self.path = list(train_phi(self.training, TASKS, seeded_generator(), general=GENERAL, validate=told))
         self.tuned = best_state(self.path)
-        self.found = self.quickft.adam(self.tuned.phi)
+        self.found = self.adam_of(self.tuned.phi)
+
+    def adam_of(self, phi: MetaParameters) -> Adam:
+        """Return the Adam of fits from phi."""
+        adam = self.training.method(phi).adam
+        assert adam is not None
+        return adam
 
 
 @pytest.mark.parametrize(
@@ -279,7 +287,7 @@ def test_the_search_goes_on_around_the_best_so_far() -> None:
         assert (now.step, now.total, now.searched) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
         best, found = min(looked[:i], key=bowl), best_state([now])
-        assert search.quickft.adam(found.phi) == best == looked[found.best_step - 1]
+        assert search.adam_of(found.phi) == best == looked[found.best_step - 1]
         assert found.validation == found.curve[-1][2] == bowl(best)
     for sighting in looked[1 : 1 + lines[0]]:
         assert replace(sighting, rate=first.rate) == first
@@ -302,16 +310,16 @@ def test_the_best_recipe_is_kept_and_a_diverging_one_is_left() -> None:
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
 def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: int) -> None:
-    quickft = QuickFT.of(app_by_recipe(name), recipes_of(name)["quick"])
+    training = adam_search(app_by_recipe(name), recipes_of(name)["quick"])
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
 
-    def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Tasks) -> float:
+    def told(training: Training, prepared: MetaParameters, tasks: Tasks) -> float:
         looked.append(len(tasks))
         return 1.0
 
     data = Tasks(names, {}, torch.arange(240))
-    states = train_phi(quickft.trainings[-1], data, seeded_generator(), general=GENERAL, steps=3, validate=told)
+    states = train_phi(training, data, seeded_generator(), general=GENERAL, steps=3, validate=told)
     assert len(list(states)) == 3
     assert looked == [count] * 3
 
@@ -319,16 +327,14 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: i
 @pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("outer", [0, 2])
 @pytest.mark.parametrize("rule", ["meta-axes", "meta-basis"])
-def test_a_rule_is_tuned_as_quickft_is(
-    rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks
-) -> None:
+def test_a_rule_is_tuned_as_quickft_is(rule: str, outer: int, app: App, recipe: Recipe, tasks: Tasks) -> None:
     """The rule's Adam is searched on validation tasks, in the bases of the training tasks, before outer steps begin."""
     search = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}])
-    recipe = replace(fits["meta"].recipe, search=search)
+    recipe = replace(recipe, search=search)
     tuned = replace(recipe.meta[rule], initialisation="encoder", searches_adam=True, steps=outer)
-    meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
+    training = rule_training(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(seeded_generator()))
-    result = best_state(train_phi(meta.trainings[-1], tasks, seeded_generator(), general=encoder))
+    result = best_state(train_phi(training, tasks, seeded_generator(), general=encoder))
     plain = rule_of(rule).initial_alpha(
         app, {key: v[0] for key, v in app.init(seeded_generator(), 1).items()}, 3, tuned.initial_adam
     )

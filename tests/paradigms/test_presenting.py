@@ -1,7 +1,6 @@
 """Properties of the pictures of every application: previews, files with a kind each, measures of pictures."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,8 +11,9 @@ from metapp.appearance.pictures import PICTURE_KINDS, TimedFit
 from metapp.appearance.presenter import Presenter
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.storage.files import file_name
 from tests.paradigms.small import seeded_generator
 from tests.recipe_apps import observations_of, presenter_of, recipes_of
@@ -27,9 +27,10 @@ def presenter(app: App) -> Presenter[Any]:
 
 
 @pytest.fixture
-def fitted_parameters(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
+def fitted_parameters(app: App, recipe: Recipe, tasks: Tasks) -> Params:
     """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = replace(fits["overfit"], steps=3).fit(MetaParameters(), tasks.select([0]), seeded_generator())
+    method = make_method("overfit", app, recipe, MetaParameters(), steps=3)
+    theta = fit_tasks(method, tasks.select([0]), seeded_generator())
     return {key: value[0] for key, value in theta.items()}
 
 

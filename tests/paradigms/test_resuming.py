@@ -12,14 +12,16 @@ from typing import Any
 import pytest
 import torch
 
+from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Tasks
-from metapp.paradigms.meta import Meta
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms import PARADIGMS
 from metapp.paradigms.training import TrainState, train_phi
+from metapp.paradigms.trainings import Training, general_training, rule_training, trainings_of
 from metapp.storage.checkpoint_files import load_training_state, save_checkpoint, save_training_state
 from tests.marked import long
-from tests.paradigms.small import OWN_RULES, seeded_generator, untrained_phi
+from tests.paradigms.small import OWN_RULES, seeded_generator
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -31,25 +33,24 @@ class Cut(Exception):
 
 
 @pytest.fixture
-def trained(kind: str, fits: dict[str, Paradigm]) -> Paradigm:
-    """What prepares a checkpoint: general, quickft, or a rule, the Adam of which may be tuned first."""
-    recipe = replace(fits["meta"].recipe, search=SEARCHED)
-    if kind in fits:
-        return replace(fits[kind], recipe=recipe)
+def training(kind: str, app: App, recipe: Recipe) -> Training:
+    """The training of a checkpoint: general, quickft, or a rule, the Adam of which may be tuned first."""
+    recipe = replace(recipe, search=SEARCHED)
+    if kind in PARADIGMS:
+        return trainings_of(kind, app, recipe)[-1]
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
     settings = replace(recipe.meta[rule], searches_adam=tuned, initialisation="encoder" if tuned else "mean")
-    return Meta.of(fits["meta"].app, replace(recipe, meta={rule: settings}), rule)
+    return rule_training(app, replace(recipe, meta={rule: settings}), rule)
 
 
-def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
+def run(training: Training, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
     """Train, from the training checkpoint `path` if there is one, and write that each time; `most` yields kill it."""
-    general = None if paradigm.name == "general" else MetaParameters(encoder=untrained_phi(paradigm).encoder)
+    app = training.app
+    general = MetaParameters(encoder=app.init_encoder(seeded_generator(2))) if training.begins_at_general else None
     fields = load_training_state(path, SETTINGS) if path else None
     since = TrainState(**fields) if fields else None
-    for count, state in enumerate(
-        train_phi(paradigm.trainings[-1], tasks, seeded_generator(3), general=general, since=since), 1
-    ):
+    for count, state in enumerate(train_phi(training, tasks, seeded_generator(3), general=general, since=since), 1):
         if path:
             save_training_state(path, state._asdict(), SETTINGS)
         if count >= most:
@@ -74,13 +75,13 @@ OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 @pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
 def test_interrupted_trainings_end_as_uninterrupted_ones(
-    kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path
+    kind: str, training: Training, tasks: Tasks, tmp_path: Path
 ) -> None:
-    expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
+    expected = as_file(run(training, tasks), tmp_path / "expected.safetensors")
     path, chance, cuts = tmp_path / "training.safetensors", random.Random(kind), 0
     while True:
         try:
-            result = run(trained, tasks, path, most=chance.randint(1, 3))
+            result = run(training, tasks, path, most=chance.randint(1, 3))
             break
         except Cut:
             cuts += 1
@@ -94,12 +95,12 @@ def test_interrupted_trainings_end_as_uninterrupted_ones(
     indirect=["app"],
 )
 def test_ctrl_c_at_any_moment_loses_no_step(
-    kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, training: Training, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Signals come in the middle of an outer step or a validation; the checkpoint holds a state between two steps."""
-    expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
+    expected = as_file(run(training, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "training.safetensors", random.Random(kind), [(False, -1)]
-    of = type(trained.app)
+    of = type(training.app)
     augment, errors, calls = of.augment, of.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -118,7 +119,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
             patch.setattr(of, "augment", interrupting(augment))
             patch.setattr(of, "errors", interrupting(errors))
             try:
-                results = run(trained, tasks, path)
+                results = run(training, tasks, path)
                 break
             except KeyboardInterrupt:
                 if fields := load_training_state(path, SETTINGS):
@@ -129,11 +130,11 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 
 
 @pytest.fixture
-def cut(fits: dict[str, Paradigm], tasks: Tasks, tmp_path: Path) -> Path:
+def cut(app: App, recipe: Recipe, tasks: Tasks, tmp_path: Path) -> Path:
     """A training checkpoint of a General."""
     path = tmp_path / "general.training.safetensors"
     with pytest.raises(Cut):
-        run(fits["general"], tasks, path, most=4)
+        run(general_training(app, recipe), tasks, path, most=4)
     return path
 
 
@@ -188,19 +189,21 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
 @ONE_APP
 def test_a_full_disk_ends_no_training(
     cut: Path,
-    fits: dict[str, Paradigm],
+    app: App,
+    recipe: Recipe,
     tasks: Tasks,
     monkeypatch: pytest.MonkeyPatch,
     recwarn: pytest.WarningsRecorder,
 ) -> None:
-    before, expected = cut.read_bytes(), as_file(run(fits["general"], tasks), cut.with_name("expected"))
+    training = general_training(app, recipe)
+    before, expected = cut.read_bytes(), as_file(run(training, tasks), cut.with_name("expected"))
 
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        result = run(fits["general"], tasks, cut)
+        result = run(training, tasks, cut)
     assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
     assert cut.read_bytes() == before
     assert as_file(result, cut.with_name("made")) == expected

@@ -13,19 +13,18 @@ from torch import Generator
 
 from data_tools.readers import placed_photos as photos
 from data_tools.readers import svbrdf_inputs
-from data_tools.readers.input_source import Source
 from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.options import BadOption
-from metapp.runs.checkpoint_selection import find_checkpoint
-from metapp.runs.choice import choose_recipe, find_and_choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.inputs.finding import find_sources, source_of_tensors
+from metapp.paradigms.methods import fit_tasks
+from metapp.runs.fitting import Fitter
+from metapp.runs.resolve import complete, suiting_recipe
+from metapp.runs.spec import Spec
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.shards import write_data_set
 from metapp.storage.shipped_checkpoints import checkpoint_folder, shipped_checkpoint_path
+from tests.kept_fits import resolve_inputs
 from tests.recipe_apps import application, input_formats, recipes_of
 
 APP = "svbrdf_nonstationary"
@@ -112,11 +111,12 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, missing_we
     one = "full" if missing_weights else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
-        return find_and_choose(fit_options(APP, "general", inputs, observe=observe)).options.recipe
+        (found,) = {spec.recipe for spec in resolve_inputs(APP, *inputs, paradigm="general", observe=observe)[0]}
+        return found
 
     assert recipe(folder) == recipe(folder.parent) == "several"
     assert recipe(folder / "a.png") == one
-    assert recipe() == recipe(folder, folder / "a.png", observe="reference") == "full"
+    assert recipe(folder, folder / "a.png", observe="reference") == "full"
 
 
 def test_data_sets_and_tasks_of_several_photos_have_that_recipe(
@@ -124,48 +124,43 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(
 ) -> None:
     task = photos.read_task(folder)
     write_data_set(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
-    options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
+    (spec,), _ = resolve_inputs(APP, observe="photo", data=tmp_path / "set")
+    assert spec.recipe == "several"
 
-    def recipe(source: Source) -> str:
-        return choose_recipe(options, [source]).name
+    def recipe(tensors: dict[str, torch.Tensor]) -> str:
+        return suiting_recipe(Spec(app=APP), "photo", application(APP).describe_tensors(tensors))[0]
 
-    assert recipe(*find_sources(options)) == recipe(source_of_tensors(application(APP), "leaf", task.data)) == "several"
-    one = source_of_tensors(application(APP), "one", {"photo": task.data["photo"]})
-    assert recipe(one) == ("full" if missing_weights else "pretrained")
+    assert recipe(task.data) == "several"
+    assert recipe({"photo": task.data["photo"]}) == ("full" if missing_weights else "pretrained")
 
 
 def test_a_folder_tells_how_many_photos_it_holds(folder: Path) -> None:
     (source,), _ = photos.find(folder)
     assert (source.name, source.facts) == ("leaf", {"photos": 3, "reference": False})
-    assert source_of_tensors(application(APP), "leaf", photos.read_task(folder).data).facts == {
-        "photos": 3,
-        "reference": False,
-    }
+    assert application(APP).describe_tensors(photos.read_task(folder).data) == {"photos": 3, "reference": False}
 
 
-def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:
+def test_folders_with_places_and_single_photos_have_a_recipe_each(folder: Path, missing_weights: str) -> None:
     """Or one recipe that is asked for; whether they are named or found in one folder."""
     plain = write(folder.parent / "wall.png", 4)
-    line = (
-        f"{APP}: {plain} has one flash photo, {folder} has not, and recipes for these differ; fit them by two commands"
-    )
-    for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
-        with pytest.raises(BadOption, match=re.escape(line)):
-            find_and_choose(fit_options(APP, "general", inputs, observe="photo"))
+    one = "full" if missing_weights else "pretrained"
+    for inputs, recipes in (
+        ((folder, plain), ["several", one]),
+        ((plain, folder), [one, "several"]),
+        ((folder.parent, plain), None),
+    ):
+        specs, _ = resolve_inputs(APP, *inputs, observe="photo", paradigm="general")
+        found = [spec.recipe for spec in specs]
+        assert found == recipes or sorted(found) == sorted(["several", one])
         for recipe in ("full", "several"):
-            assert (
-                find_and_choose(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe
-                == recipe
-            )
-    result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
-    assert "recipes for these differ; fit them by two commands" in result.misuse
-    assert not (folder.parent / "runs").exists()
+            specs, lines = resolve_inputs(APP, *inputs, observe="photo", recipe=recipe)
+            assert ({spec.recipe for spec in specs}, lines) == ({recipe}, [])
 
 
 def test_fits_name_the_recipe_that_inputs_choose(folder: Path, metapp: Callable) -> None:
     result = metapp("general", APP, folder, "--observe", "photo", "--out", folder.parent / "runs", "--json")
     assert result.code == 0, result.err
-    assert f"{APP}: recipe several, since every input has several photos\n" in result.err
+    assert f"{APP}: recipe several, as the input has several photos\n" in result.err
     assert result.json_document["tasks"][0]["counts"] == {"photos": 3}
     assert re.search(r"^relief: mean tilt \d+\.\d degrees$", result.err, re.MULTILINE)
     output_folder = Path(result.json_document["out"]) / "leaf"
@@ -240,10 +235,9 @@ def test_fits_of_five_photos_have_lower_errors_than_fits_of_one() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
-        by = find_and_choose(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True))
-        phi = find_checkpoint(by).phi
+        by = Fitter.of(complete(Spec(app=APP, paradigm=paradigm, observe="photo", recipe=recipe)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
-        theta = [by.paradigm.fit(phi, stack_tasks(by.app, [task]), Generator()) for task in of]
+        theta = [fit_tasks(by.method, stack_tasks(by.app, [task]), Generator()) for task in of]
         found = [by.app.errors(parameters, stack_tasks(by.app, [t])) for parameters, t in zip(theta, of, strict=True)]
         errors[recipe, paradigm] = {
             key: sum(float(errors_of_task[key]) for errors_of_task in found) / len(found) for key in ("error", "normal")

@@ -25,11 +25,12 @@ from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.apps.illumination.suns import SUN_SPECS
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import read_tensors, to_json_value
-from metapp.storage.fit_store import RECORD, pack_fit, write_fit
+from metapp.storage.files import read_tensors
+from metapp.storage.fit_folders import RECORD, pack_fit
 from metapp.storage.parameters import check_params
 from tests import pictures
 from tests.cli.messages import says
+from tests.kept_fits import write_fit
 from tests.needs_mitsuba import needs_mitsuba
 from tests.recipe_apps import app_by_recipe
 from tests.scene_files import OBJ
@@ -60,7 +61,7 @@ def test_fits_in_python_equal_fits_by_the_command(metapp: Callable, network: Pat
     (folder,) = (task["folder"] for task in result["tasks"])
     fit, loaded = api.fit("brdf", network), api.load(folder)
     assert (fit.name, fit.error) == (result["tasks"][0]["name"], result["error"])
-    assert loaded.settings["checkpoint"] == fit.settings["checkpoint"]
+    assert loaded.settings["digest"] == fit.settings["digest"]
     assert (loaded.errors, loaded.task.data.keys()) == (fit.errors, fit.task.data.keys())
     assert loaded.parameters.keys() == fit.parameters.keys()
     assert all(torch.equal(loaded.parameters[key], value) for key, value in fit.parameters.items())
@@ -80,7 +81,7 @@ def test_a_saved_fit_is_loaded_again(network: Path, tmp_path: Path, general: api
         again = api.load(fit.save(tmp_path / "a.safetensors", overwrite=True))
         assert (again.name, again.errors, again.seconds, again.settings) == (
             *(fit.name, fit.errors, fit.seconds),
-            to_json_value(fit.settings),
+            fit.settings,
         )
         assert all(torch.equal(again.parameters[key], value) for key, value in fit.parameters.items())
         assert again.task.data.keys() == keys
@@ -122,9 +123,9 @@ def test_parameters_of_another_network_are_refused(
 ) -> None:
     """Python and all commands that read fits refuse them."""
     theta = damaged(general.parameters, how)
-    (tmp_path / "a.safetensors").write_bytes(pack_fit(general.record, theta))
+    (tmp_path / "a.safetensors").write_bytes(pack_fit(general.record(), theta))
     folder = tmp_path / "run" / "a"
-    write_fit(folder.parent, replace(general.record, name="a"), theta)
+    write_fit(folder.parent, replace(general, name="a"), theta)
     for place in (folder, tmp_path / "a.safetensors"):
         with pytest.raises(ValueError, match=rf"^{place}: parameters .*{problem}; fit anew"):
             api.load(place)
@@ -134,14 +135,15 @@ def test_parameters_of_another_network_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("steps", "ten"), ("seed", 0.5), ("adam", []), ("versions", "1"), ("recipe", 3), ("device", {})]
+    ("key", "value"),
+    [("steps", "ten"), ("seed", 0.5), ("digest", []), ("versions", "1"), ("recipe", 3), ("device", {})],
 )
 def test_settings_of_another_kind_are_refused(general: api.Fit, tmp_path: Path, key: str, value: object) -> None:
-    document = general.record.document()
+    document = general.document()
     document["settings"][key] = value
     save_file(general.parameters, tmp_path / "a.safetensors", {RECORD: json.dumps(document)})
     folder = tmp_path / "run" / "a"
-    write_fit(folder.parent, replace(general.record, name="a"), general.parameters)
+    write_fit(folder.parent, replace(general, name="a"), general.parameters)
     (folder / RECORD).write_text(json.dumps(document))
     for place in (folder, tmp_path / "a.safetensors"):
         with pytest.raises(ValueError, match=rf"^{place}.*Expected `.*`, got `.*` - at `\$\.settings\.{key}`"):
@@ -455,7 +457,7 @@ def test_a_fit_shows_itself(network: Path) -> None:
     assert set(fit.preview()) == {"reference", "fit"}
     reference = composite_to_srgb(fit.preview()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
-    fit.task, fit.record.warning = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
+    fit.name, fit.warning = "<b>", "1 < 2"  # names and warnings are text
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html

@@ -1,9 +1,8 @@
 """The recipe and protocol that inputs and options choose for each application, and the lines that give the reason."""
 
 import os
-import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,32 +17,24 @@ from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.registry import registry
-from metapp.runs.choice import choose_recipe, find_and_choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.run_inputs import find_inputs
-from metapp.runs.reporter import Reporter, use_reporter
 from metapp.storage.shards import write_data_set
 from tests.anisotropic import measure_with_noise
+from tests.kept_fits import resolve_inputs
 from tests.pictures import write_planes
-from tests.recipe_apps import application
 
 MATERIALS, BALLS = "svbrdf_nonstationary", "illumination"
-PHI_H, FEW = "reflectance that depends on phi_h", "200 samples or fewer"
 LACKING = "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
 
 class Case(NamedTuple):
-    """Inputs of a fit and its options, and what they choose; `mistake` is the error in place of a choice."""
+    """Inputs of a fit and its options, and what they choose: a recipe and a protocol for each input, or for all."""
 
     app: str
     inputs: str = ""  # names in the folder of inputs, apart by spaces
     options: dict[str, Any] = {}  # noqa: RUF012  (nobody changes it)
     recipe: str = "full"
     protocol: str = ""
-    reasons: tuple[str, ...] = ()
-    mistake: str = ""
+    lines: tuple[str, ...] = ()
 
 
 def table(folder: Path, name: str, rows: int, *, anisotropic: bool) -> None:
@@ -108,50 +99,50 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def reason_of(app: str, recipe: str, why: str, what: str = "input") -> str:
-    return f"{app}: recipe {recipe}, since every {what} has {why}"
+def line_of(app: str, recipe: str, count: str = "") -> str:
+    return f"{app}: recipe {recipe}, as the input has {WORDS[recipe]}" + (f" ({count} inputs)" if count else "")
 
 
-def some_hold_photos_alone(app: str = MATERIALS) -> str:
-    return f"{app}: fits see: photo, since 1 of 2 inputs hold a photo alone"
-
-
-ONE_PHOTO, ONE_OF_TWO = reason_of(MATERIALS, "pretrained", "one flash photo"), some_hold_photos_alone()
-SEVERAL = reason_of(MATERIALS, "several", "several photos")
-WORDS = {"few": FEW, "anisotropic": PHI_H, "pretrained": "one flash photo"}
-OTHER_COMMANDS = "and recipes for these differ; fit them by two commands, or all by --recipe "
+WORDS = {
+    "few": "200 samples or fewer",
+    "anisotropic": "reflectance that depends on phi_h",
+    "pretrained": "one flash photo",
+    "several": "several photos",
+}
+TURNED, FEWER = (line_of("brdf", "anisotropic"),), (line_of("brdf", "few"),)
+ONE_PHOTO, SEVERAL = (line_of(MATERIALS, "pretrained"),), (line_of(MATERIALS, "several"),)
+ONE_OF_TWO = (line_of(MATERIALS, "pretrained", "1 of 2"),)
+BOTH = (line_of(MATERIALS, "several", "1 of 2"), line_of(MATERIALS, "pretrained", "1 of 2"))
 
 CASES = [
     # BRDFs: measurements that depend on phi_h, few ones, others
-    Case("brdf"),
-    Case("brdf", "brushed.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
-    Case("brdf", "brushed.csv", {"paradigm": "overfit"}, "anisotropic", "", (reason_of("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "brushed.csv", {}, "anisotropic", "", TURNED),
+    Case("brdf", "brushed.csv", {"paradigm": "overfit"}, "anisotropic", "", TURNED),
     Case("brdf", "brushed.csv", {"paradigm": "general"}),
     Case("brdf", "brushed.csv", {"paradigm": "finetune"}),
     Case("brdf", "brushed.csv", {"paradigm": "quickft"}),
     Case("brdf", "brushed.csv", {"recipe": "full"}),
-    Case("brdf", "brushed150.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
-    Case("brdf", "satin.bsdf brushed.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "brushed150.csv", {}, "anisotropic", "", TURNED),
+    Case("brdf", "satin.bsdf brushed.csv", {}, "anisotropic", "", TURNED),
     Case("brdf", "flat.bsdf"),
     Case("brdf", "plain.csv"),
     Case("brdf", "gold.binary plain.csv"),
-    Case("brdf", "paint.csv", recipe="few", reasons=(reason_of("brdf", "few", FEW),)),
-    Case("brdf", "paint.csv", {"quiet": True}, recipe="few"),
+    Case("brdf", "paint.csv", {}, "few", "", FEWER),
     Case("brdf", "paint.csv", {"paradigm": "overfit"}),
-    Case("brdf", "paint.csv", {"recipe": "paper"}, recipe="paper"),
-    Case("brdf", "fews", recipe="few", reasons=(reason_of("brdf", "few", FEW),)),
-    Case("brdf", "some", reasons=(f"brdf: recipe full, since 1 of 2 inputs have {FEW}",)),
-    Case("brdf", "turned", {}, "anisotropic", reasons=(f"brdf: recipe anisotropic, since 1 of 2 inputs have {PHI_H}",)),
+    Case("brdf", "paint.csv", {"recipe": "paper"}, "paper"),
+    # each input has what it would have alone; of a damaged one nothing is known
+    Case("brdf", "fews", {}, "full few", "", (line_of("brdf", "few", "1 of 2"),)),
+    Case("brdf", "some", {}, "few full", "", (line_of("brdf", "few", "1 of 2"),)),
+    Case("brdf", "turned", {}, "anisotropic full", "", (line_of("brdf", "anisotropic", "1 of 2"),)),
     Case("brdf", "turned", {"recipe": "anisotropic"}, "anisotropic"),
-    Case("brdf", "paint.csv plain.csv", mistake=f"brdf: paint.csv has {FEW}, plain.csv has not, {OTHER_COMMANDS}few "),
-    Case("brdf", "gold.binary paint.csv", mistake=f"brdf: paint.csv has {FEW}, gold.binary has not, {OTHER_COMMANDS}"),
-    Case("brdf", "plain.csv brushed.csv", mistake=f"brdf: brushed.csv has {PHI_H}, plain.csv has not, "),
-    Case("brdf", "paint.csv brushed.csv", mistake=f"brdf: brushed.csv has {PHI_H}, paint.csv has not, "),
-    Case("brdf", "plain.csv brushed.csv", {"recipe": "anisotropic"}, "anisotropic"),
+    Case("brdf", "paint.csv plain.csv", {}, "few full", "", (line_of("brdf", "few", "1 of 2"),)),
+    Case("brdf", "paint.csv brushed.csv", {}, "few anisotropic", "",
+         (line_of("brdf", "few", "1 of 2"), line_of("brdf", "anisotropic", "1 of 2"))),
     Case("brdf", "plain.csv brushed.csv", {"paradigm": "general"}),
-    Case("brdf", options={"data": "isotropic"}),
-    Case("brdf", options={"data": "anisotropic"}, recipe="anisotropic",
-         reasons=(reason_of("brdf", "anisotropic", PHI_H, "task of anisotropic"),)),
+    Case("brdf", options={"data": "isotropic"}, recipe="few", lines=FEWER),
+    Case("brdf", "isotropic", recipe="few", lines=FEWER),
+    Case("brdf", "isotropic plain.csv", recipe="few full", lines=(line_of("brdf", "few", "1 of 2"),)),
+    Case("brdf", options={"data": "anisotropic"}, recipe="anisotropic", lines=TURNED),
     Case("brdf", "plain.csv", {"data": "anisotropic"}),
     # applications of one kind of input
     Case("texture", "wall.png"),
@@ -159,47 +150,37 @@ CASES = [
     Case("svbrdf_stationary", "photos"),
     Case("svbrdf_stationary", "wall.png", {"recipe": "paper-64"}, "paper-64"),
     Case("transport", "box.xml"),
-    Case("transport"),
     # maps and flash photographs, one or several of a place
-    Case(MATERIALS, protocol="reference"),
     Case(MATERIALS, "rock", protocol="reference"),
     Case(MATERIALS, "strip.png rock", protocol="reference"),
-    Case(MATERIALS, "wall.png", {}, "pretrained", "photo", (ONE_PHOTO,)),
-    Case(MATERIALS, "photos", {"paradigm": "general"}, "pretrained", "photo", (ONE_PHOTO,)),
+    Case(MATERIALS, "wall.png", {}, "pretrained", "photo", ONE_PHOTO),
+    Case(MATERIALS, "photos", {"paradigm": "general"}, "pretrained", "photo", ONE_PHOTO),
     Case(MATERIALS, "wall.png", {"paradigm": "overfit"}, "full", "photo"),
-    Case(MATERIALS, "wall.png", {"quiet": True}, "pretrained", "photo"),
     Case(MATERIALS, "wall.png", {"lacking": True}, "full", "photo", (f"{MATERIALS}: {LACKING}",)),
-    Case(MATERIALS, "wall.png", {"lacking": True, "quiet": True}, "full", "photo", (f"{MATERIALS}: {LACKING}",)),
     Case(MATERIALS, "wall.png", {"recipe": "full"}, "full", "photo"),
-    Case(MATERIALS, "wall.png", {"observe": "photo"}, "pretrained", "photo", (ONE_PHOTO,)),
+    Case(MATERIALS, "wall.png", {"observe": "photo"}, "pretrained", "photo", ONE_PHOTO),
     Case(MATERIALS, "wall.png", {"observe": "photo", "recipe": "quick"}, "quick", "photo"),
     Case(MATERIALS, "wall.png", {"observe": "reference"}, "full", "reference"),
-    Case(MATERIALS, "strip.png", {"observe": "photo"}, "pretrained", "photo", (ONE_PHOTO,)),
-    Case(MATERIALS, "rock wall.png", {}, "pretrained", "photo", (ONE_OF_TWO, ONE_PHOTO)),
-    Case(MATERIALS, "mixed", {}, "pretrained", "photo", (ONE_OF_TWO, ONE_PHOTO)),
-    Case(MATERIALS, "leaf", {}, "several", "photo", (SEVERAL,)),
-    Case(MATERIALS, "leaf", {"paradigm": "overfit"}, "several", "photo", (SEVERAL,)),
-    Case(MATERIALS, "leaf", {"lacking": True}, "several", "photo", (SEVERAL,)),
-    Case(MATERIALS, "leaf/a.png", {}, "pretrained", "photo", (ONE_PHOTO,)),
-    Case(MATERIALS, "leaf wall.png", {}, mistake=f"{MATERIALS}: wall.png has one flash photo, leaf has not, "),
-    Case(MATERIALS, "leaves", {}, mistake=f"{MATERIALS}: leaves/wall.png has one flash photo, leaves/leaf has not, "),
-    Case(MATERIALS, "leaf wall.png", {"lacking": True}, mistake=f"{MATERIALS}: wall.png has one flash photo, leaf "),
+    Case(MATERIALS, "strip.png", {"observe": "photo"}, "pretrained", "photo", ONE_PHOTO),
+    Case(MATERIALS, "rock wall.png", {}, "full pretrained", "reference photo", ONE_OF_TWO),
+    Case(MATERIALS, "mixed", {}, "full pretrained", "reference photo", ONE_OF_TWO),
+    Case(MATERIALS, "leaf", {}, "several", "photo", SEVERAL),
+    Case(MATERIALS, "leaf", {"paradigm": "overfit"}, "several", "photo", SEVERAL),
+    Case(MATERIALS, "leaf", {"lacking": True}, "several", "photo", SEVERAL),
+    Case(MATERIALS, "leaf/a.png", {}, "pretrained", "photo", ONE_PHOTO),
+    Case(MATERIALS, "leaf wall.png", {}, "several pretrained", "photo", BOTH),
+    Case(MATERIALS, "leaves", {}, "several pretrained", "photo", BOTH),
     Case(MATERIALS, "leaf wall.png", {"recipe": "several"}, "several", "photo"),
     Case(MATERIALS, "leaf wall.png", {"observe": "reference"}, "full", "reference"),
-    Case(MATERIALS, "wall.png", {"observe": "reference", "recipe": "pretrained"}, mistake="--recipe 'pretrained': exp"),
     Case(MATERIALS, "", {"data": "maps"}, "full", "reference"),
-    Case(MATERIALS, "", {"data": "maps", "observe": "photo"}, "pretrained", "photo",
-         (reason_of(MATERIALS, "pretrained", "one flash photo", "task of maps"),)),
-    Case(MATERIALS, "", {"data": "shots"}, "pretrained", "photo",
-         (reason_of(MATERIALS, "pretrained", "one flash photo", "task of shots"),)),
-    Case(MATERIALS, "", {"data": "places"}, "several", "photo",
-         (reason_of(MATERIALS, "several", "several photos", "task of places"),)),
+    Case(MATERIALS, "", {"data": "maps", "observe": "photo"}, "pretrained", "photo", ONE_PHOTO),
+    Case(MATERIALS, "", {"data": "shots"}, "pretrained", "photo", ONE_PHOTO),
+    Case(MATERIALS, "", {"data": "places"}, "several", "photo", SEVERAL),
     # environment maps, and photographs of balls
-    Case(BALLS, protocol="reference"),
     Case(BALLS, "sky.exr", {}, "full", "reference"),
     Case(BALLS, "wall.png", {}, "full", "photo"),
     Case(BALLS, "photos", {"shutter": "auto"}, "full", "photo"),
-    Case(BALLS, "sky.exr wall.png", {}, "full", "photo", (some_hold_photos_alone(BALLS),)),
+    Case(BALLS, "sky.exr wall.png", {}, "full", "reference photo"),
     Case(BALLS, "wall.png", {"observe": "reference"}, "full", "reference"),
     Case(BALLS, "sky.exr", {"recipe": "paper"}, "paper", "reference"),
 ]  # fmt: skip
@@ -210,21 +191,9 @@ def name_of(case: Case) -> str:
     return " ".join(filter(None, (case.app, case.inputs, *words)))
 
 
-class Heard(Reporter):
-    """Keeps what is said."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def say(self, message: str) -> None:
-        self.lines.append(message)
-
-
-def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, tuple[str, ...]]:
-    """Recipe, protocol and the lines that are said of inputs that are paths, or of a data set."""
-    with use_reporter(heard := Heard()):
-        choice = find_and_choose(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
-    return choice.options.recipe, choice.app.observes, tuple(heard.lines)
+def each(words: str, count: int) -> list[str]:
+    """A word for each input; one word holds for all."""
+    return (words.split() or [""]) * (1 if len(words.split()) > 1 else count)
 
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
@@ -235,12 +204,23 @@ def test_inputs_and_options_choose_recipe_and_protocol(
     line = LACKING if options.pop("lacking", False) else ""
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: line)
     monkeypatch.chdir(inputs)
-    paths = [Path(name) for name in case.inputs.split()]
-    if case.mistake:
-        with pytest.raises(BadOption, match=re.escape(case.mistake)):
-            chosen(case.app, paths, **options)
-    else:
-        assert chosen(case.app, paths, **options) == (case.recipe, case.protocol, case.reasons)
+    specs, lines = resolve_inputs(case.app, *map(Path, case.inputs.split()), **options)
+    assert [spec.recipe for spec in specs] == each(case.recipe, len(specs))
+    assert [spec.observe for spec in specs] == each(case.protocol, len(specs))
+    assert tuple(lines) == case.lines
+
+
+def test_a_recipe_that_fits_of_what_is_observed_lack_is_refused(inputs: Path) -> None:
+    with pytest.raises(BadOption, match="--recipe 'pretrained': expected one of"):
+        resolve_inputs(MATERIALS, inputs / "wall.png", observe="reference", recipe="pretrained")
+
+
+def test_inputs_that_are_fitted_alike_have_one_specification(inputs: Path) -> None:
+    """A map beside a photograph is fitted as it is alone."""
+    specs, _ = resolve_inputs(BALLS, inputs / "sky.exr", inputs / "wall.png", inputs / "photos")
+    alone, _ = resolve_inputs(BALLS, inputs / "sky.exr")
+    assert specs[0] == alone[0]
+    assert len({id(spec) for spec in specs}) == 2
 
 
 @pytest.mark.parametrize(
@@ -258,21 +238,14 @@ def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatc
             return real(path)
 
         monkeypatch.setattr(os, name, count)
-    choice = find_and_choose(fit_options(app, "general", [inputs / folder], quiet=True))
-    assert find_inputs(choice)[0]
+    assert resolve_inputs(app, inputs / folder, paradigm="general")[0]
     assert listed.count(str(inputs / folder)) == 1
 
 
 def test_files_that_come_later_are_found_by_the_next_command(tmp_path: Path) -> None:
     for seed in (1, 2):
         picture(tmp_path / f"{seed}.png", seed)
-        assert len(find_and_choose(fit_options("texture", "general", [tmp_path])).sources) == seed
-
-
-def tasks_of(app: str, *objects: Any) -> list[Task]:
-    entry = registry().applications[app].read_object
-    assert entry is not None
-    return [entry.load()(source, f"object{number}") for number, source in enumerate(objects)]
+        assert len(resolve_inputs("texture", tmp_path, paradigm="general")[0]) == seed
 
 
 def pairs(rows: int, *, anisotropic: bool = False) -> Any:
@@ -290,7 +263,7 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
     "a picture": ("texture", lambda: [PIXELS], "full", ""),
     "a flash photo": (MATERIALS, lambda: [PIXELS], "pretrained", "photo"),
     "maps": (MATERIALS, lambda: [MAPS], "full", "reference"),
-    "maps and a photo": (MATERIALS, lambda: [MAPS, PIXELS], "pretrained", "photo"),
+    "maps and a photo": (MATERIALS, lambda: [MAPS, PIXELS], "full pretrained", "reference photo"),
     "a map": (BALLS, lambda: [np.random.default_rng(0).random((32, 64, 3)).astype(np.float32)], "full", "reference"),
 }  # fmt: skip
 
@@ -300,21 +273,14 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
 def test_objects_in_memory_choose_recipe_and_protocol(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: "")
     app, objects, recipe, protocol = OBJECTS[name]
-    result = objects()
-    sources = [source_of_tensors(application(app), task.name, task.data) for task in tasks_of(app, *result)]
-    choice = choose_recipe(fit_options(app, "meta", result), sources)
-    assert (choice.name, choice.observes) == (recipe, protocol)
-    reasons = [reason_of(app, recipe, WORDS[recipe])] if recipe in WORDS else []
-    observation_reasons = [line for line in choice.reasons if "fits see" in line]
-    assert len(observation_reasons) == (name == "maps and a photo")
-    assert list(choice.reasons) == [*observation_reasons, *reasons]
+    specs, lines = resolve_inputs(app, *objects())
+    assert [spec.recipe for spec in specs] == each(recipe, len(specs))
+    assert [spec.observe for spec in specs] == each(protocol, len(specs))
+    assert len(lines) == sum(word in WORDS for word in recipe.split())
 
 
-def test_objects_that_no_recipe_suits_together_are_refused() -> None:
-    sources = [
-        source_of_tensors(application("brdf"), task.name, task.data) for task in tasks_of("brdf", pairs(20), pairs(500))
-    ]
-    line = f"brdf: object0 has {FEW}, object1 has not, {OTHER_COMMANDS}few or --recipe full."
-    with pytest.raises(BadOption, match=re.escape(line)):
-        choose_recipe(fit_options("brdf", "meta", [0, 1]), sources)
-    assert choose_recipe(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).name == "full"
+def test_objects_of_several_kinds_have_a_recipe_each() -> None:
+    specs, _ = resolve_inputs("brdf", pairs(20), pairs(500))
+    assert [spec.recipe for spec in specs] == ["few", "full"]
+    specs, _ = resolve_inputs("brdf", pairs(20), pairs(500), recipe="full")
+    assert [spec.recipe for spec in specs] == ["full", "full"]

@@ -15,7 +15,6 @@ from data_tools.synthetic import brdf, illumination, texture
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline_fits import find_training_folder
 from metapp.learning.task import Task
-from metapp.runs.choice import find_and_choose
 from metapp.runs.data_sets.embedded import (
     embedded_folders,
     has_embedded_tests,
@@ -23,10 +22,10 @@ from metapp.runs.data_sets.embedded import (
     make_embedded_set,
     make_embedded_test_set,
 )
-from metapp.runs.fit_options import fit_options
-from metapp.runs.inputs.run_inputs import data_label, read_test_tasks
-from metapp.runs.outputs.run_records import find_fitted_tasks
-from metapp.storage.fit_records import decode_record
+from metapp.runs.fit import find_tasks, read_fit
+from metapp.runs.inputs.finding import data_label, find_in_data_set
+from metapp.runs.resolve import app_of, complete
+from metapp.runs.spec import Spec
 from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks
 from tests.recipe_apps import app_by_recipe, application
@@ -89,18 +88,25 @@ def test_a_table_draws_no_training_tasks(metapp: Callable, splits: list[str], tm
 
 @pytest.mark.usefixtures("splits")
 def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
-    tasks, label = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
+    tasks, label = read_tests()
     whole = make_embedded_set(application("brdf"), quiet=True)
-    later, label_later = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
+    later, label_later = read_tests()
     assert label_later == label != data_label(whole)
     assert [task.name for task in later] == [task.name for task in tasks]
     assert embedded_folders(application("brdf")) == [make_embedded_test_set(application("brdf")), whole]
 
 
+def read_tests() -> tuple[list[Task], str]:
+    """The test tasks of the embedded set, and their label."""
+    spec, folder = Spec(app="brdf"), make_embedded_test_set(application("brdf"), quiet=True)
+    tasks = [one.read_task(spec, app_by_recipe("brdf")) for one in find_in_data_set(spec, folder)]
+    return tasks, data_label(folder)
+
+
 def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
     whole = make_embedded_set(application("brdf"), quiet=True)
     splits.clear()
-    tasks, label = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
+    tasks, label = read_tests()
     assert (len(tasks), label) == (COUNTS["test"], data_label(whole))
     assert splits == []
 
@@ -108,8 +114,7 @@ def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
 @pytest.mark.usefixtures("splits")
 def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
     def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
-        records = [decode_record(Path(task["folder"], "record.json").read_bytes()) for task in document["tasks"]]
-        return find_fitted_tasks(records, [], None)
+        return find_tasks([read_fit(Path(task["folder"])) for task in document["tasks"]])
 
     words = ("general", "brdf", "-q", "--json", "--out")
     make_embedded_set(application("brdf"), quiet=True)
@@ -132,19 +137,17 @@ def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None
 
 
 def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
-    plan = find_and_choose(fit_options("brdf", "general", quiet=True))
+    spec = complete(Spec(app="brdf", paradigm="general"), trained=False)
     learning, other = (
-        next(baseline for baseline in baselines_of(plan.application, plan.app) if bool(baseline.learns) is kind)
+        next(one for one in baselines_of(spec.application, app_of(spec)) if bool(one.learns) is kind)
         for kind in (True, False)
     )
-    assert find_training_folder(plan, learning) is None
-    assert find_training_folder(plan, other, make=True) is None
-    of_file = find_and_choose(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
-    assert find_training_folder(of_file, learning, make=True) is None  # as a file is fitted
+    assert find_training_folder(spec, learning, None) is None
+    assert find_training_folder(spec, other, None, make=True) is None
     assert splits == []
     assert (
-        find_training_folder(plan, learning, make=True)
-        == find_training_folder(of_file, learning)
+        find_training_folder(spec, learning, None, make=True)
+        == find_training_folder(spec, learning, None)
         == make_embedded_set(application("brdf"))
     )
     assert splits == ["train"] * COUNTS["train"] + ["test"] * COUNTS["test"]

@@ -1,7 +1,7 @@
 """The options of fits: the default recipe, parsing and refusals, and which options help shows for which application."""
 
+import json
 import re
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +16,23 @@ from metapp.cli.command_tree import app as cli
 from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoint_selection import find_checkpoint
-from metapp.runs.choice import find_and_choose, has_shipped_recipe
-from metapp.runs.fit_options import FitOptions, fit_options, folder_name_parts
-from metapp.runs.fitter import Fitter
-from metapp.runs.inputs.run_inputs import find_inputs
+from metapp.runs.checkpoints import has_shipped_recipe
+from metapp.runs.fitting import Fitter
+from metapp.runs.inputs.finding import find
+from metapp.runs.resolve import app_of, complete
+from metapp.runs.spec import RunOptions, Spec, given_words, parse_fit_options
 from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
-from metapp.storage.fit_records import Origin
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.recipe_apps import app_by_recipe, app_names, observations_of, presenter_of, recipes_of
 
 
 @pytest.mark.parametrize("name", app_names())
-def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
+def test_fits_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert has_shipped_recipe(registry().applications[name], "full")
-    for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
-        assert find_and_choose(fit_options(name, **more)).options.recipe == "full", more
-    assert find_and_choose(fit_options(name, recipe="quick")).options.recipe == "quick"
+    for more in ({}, {"paradigm": "general"}, {"seed": 3}):
+        assert complete(Spec(app=name, **more), trained=False).recipe == "full", more
+    assert complete(Spec(app=name, recipe="quick"), trained=False).recipe == "quick"
 
 
 OWN = {"conserve", "observe", "export", "size", "render", "fov", "stops", "shutter", "pitch", "scene-root", "layer"}
@@ -62,15 +61,16 @@ def test_help_fits_a_screen_and_shows_the_options_that_are_used(paradigm: str, n
     assert len(shown.splitlines()) <= 43
     assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output"]
     options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
-    every = {option.flag.removeprefix("--") for option in options_by_name(FitOptions).values()} | SHOWN[name] | {"json"}
+    of_fits = (*options_by_name(Spec).values(), *options_by_name(RunOptions).values())
+    every = {option.flag.removeprefix("--") for option in of_fits} | SHOWN[name] | {"json"}
     assert options == every - (OWN - SHOWN[name]) - UNUSED[paradigm]
     assert ("MERL" in shown) == (name == "brdf")  # the inputs are those of the application, too
 
 
 def test_values_are_parsed_at_the_edge() -> None:
-    assert fit_options("texture", size="512").app_options.size == (512, 512)
-    assert fit_options("texture", size=(256, 512)).app_options.size == (256, 512)
-    assert fit_options("brdf", inputs=["gold.binary"], data="merl").data == Path("merl")
+    assert parse_fit_options("texture", size="512")[0].app_options.size == (512, 512)
+    assert parse_fit_options("texture", size=(256, 512))[0].app_options.size == (256, 512)
+    assert parse_fit_options("brdf", data="merl")[1].data == Path("merl")
 
 
 REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
@@ -98,7 +98,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
 @pytest.mark.parametrize(("app", "options", "line"), REFUSED)
 def test_options_that_fits_cannot_have_are_refused(app: str, options: dict[str, Any], line: str) -> None:
     with pytest.raises(BadOption, match=line):
-        find_and_choose(fit_options(app, inputs=["gold.binary"], **options))
+        complete(parse_fit_options(app, **options)[0], trained=False)
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -117,39 +117,25 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
     first.write_text("")
     link.symlink_to(first)
-    planned = find_and_choose(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
-    (run_input,) = find_inputs(planned)[0]
-    assert planned.origin(run_input.given_paths) == Origin([str(link)])
-    assert run_input.place == str(first)
+    (one,) = find(Spec(app="brdf"), [link])
+    assert (one.given, one.path) == ((str(link),), str(first))
 
 
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
     for app, side, limit in (("illumination", 128, 128), ("svbrdf_stationary", 256, LARGEST_PHOTO_PX)):
-        planned = find_and_choose(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
-        (run_input,) = find_inputs(planned)[0]
-        assert planned.app.read_size in (0, limit)
-        assert side in run_input.read_task().data["map" if app == "illumination" else "image"].shape
+        spec = complete(Spec(app=app, paradigm="general", recipe="full"), trained=False)
+        (one,) = find(spec, write_example(app, tmp_path)[:1])
+        assert app_of(spec).read_size in (0, limit)
+        assert side in one.read_task(spec, app_of(spec)).data["map" if app == "illumination" else "image"].shape
 
 
-NO_FIGURE = {
-    "inputs",
-    "train",
-    "train_steps",
-    "batch",
-    "resume",
-    "export",
-    "out",
-    "quiet",
-}  # of no figure
-
-
-def test_records_state_all_options_that_figures_depend_on() -> None:
-    choice = find_and_choose(fit_options("illumination", recipe="quick", observe="photo"))
-    names = {"app_options": "options", "application": "app"}  # of fields in settings, where these differ
-    named = {names.get(field.name, field.name) for field in fields(FitOptions)} - NO_FIGURE
-    app_options = replace(choice.options.app_options, fov=60.0)
-    choice = replace(choice, options=replace(choice.options, app_options=app_options))
-    assert named <= Fitter.of(choice, "none").settings.document().keys()
+def test_a_specification_is_read_back_as_it_was_written() -> None:
+    given, _ = parse_fit_options("illumination", observe="photo", fov=60.0, size="64x128", checkpoint="a.safetensors")
+    for spec in (given, complete(given, trained=False)):
+        assert Spec.of_document(json.loads(json.dumps(spec.document()))) == spec
+        assert spec.app_options.fov == 60.0
+        assert spec.app_options.size == (64, 128)
+    assert given.key != complete(given, trained=False).key
 
 
 def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,11 +144,10 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
     formats = registry().applications["brdf"].formats
     monkeypatch.setitem(formats.data, "acme", formats["gonio"])
     for path in (tmp_path / "paint.csv", tmp_path):
-        options = fit_options("brdf", "general", inputs=[path], recipe="full")
         with pytest.raises(
             ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
         ):
-            find_and_choose(options)
+            find(Spec(app="brdf"), [path])
 
 
 # What was learned at the quick size fits at the full one
@@ -170,14 +155,14 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 @pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
-def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    planned = find_and_choose(fit_options(name, observe=observe, recipe="full", out=tmp_path))
-    assert planned.app == planned.recipe.app
-    assert planned.app.observes == planned.recipe.observes == observe
-    prepared = find_checkpoint(planned).phi
-    field = planned.app.decoder.network
+def test_meta_starts_from_what_quick_learned(name: str, observe: str) -> None:
+    fitter = Fitter.of(complete(Spec(app=name, observe=observe, recipe="full")))
+    assert fitter.app == fitter.recipe.app
+    assert fitter.app.observes == fitter.recipe.observes == observe
+    prepared = fitter.phi
+    field = fitter.app.decoder.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
-    file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
+    file = f"{fitter.recipe.rule}{'-photo' if observe == 'photo' else ''}"
     learned = load_checkpoint(shipped_checkpoint_path(name, file, "full"))[0].alpha
     assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
     assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
@@ -187,28 +172,27 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     start, info = load_checkpoint(shipped_checkpoint_path("illumination", "meta-lgd"))
     bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
-    options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
+    spec = Spec(app="illumination", recipe="full", checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        find_checkpoint(find_and_choose(options))
+        Fitter.of(complete(spec))
 
 
-def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
+def test_a_rule_that_ships_at_the_quick_size_alone_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.runs.checkpoints._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
-        find_checkpoint(find_and_choose(fit_options("texture", rule="meta-basis", out=tmp_path)))
+        Fitter.of(complete(Spec(app="texture", rule="meta-basis")))
 
 
 @pytest.mark.parametrize(
-    ("app", "values", "parts"),
+    ("app", "values", "name"),
     [
-        ("illumination", {"shutter": "1/10,1/160", "fov": 60.0}, ["inputs-[0-9a-f]{6}"]),
-        ("svbrdf_stationary", {"fov": 60.0, "relief": 2.0}, ["relief2.0", "inputs-[0-9a-f]{6}"]),
-        ("brdf", {"conserve": True}, ["conserve"]),
+        ("brdf", {"conserve": True}, "meta-conserve"),
+        ("brdf", {"recipe": "quick", "rule": "meta-sgd", "steps": 5, "seed": 3}, "meta-quick-meta-sgd-5steps-seed3"),
+        ("illumination", {"observe": "photo", "fov": 60.0}, "meta-photo-fov60.0"),
+        ("illumination", {"shutter": "1/10,1/160"}, "meta-[0-9a-f]{8}"),
+        ("svbrdf_stationary", {"relief": 2.0, "size": "64x128"}, "meta-relief2.0-size64x128"),
+        ("brdf", {"checkpoint": "runs/mine.safetensors"}, "meta-mine-[0-9a-f]{6}"),
     ],
 )
-def test_names_of_run_folders_have_a_digest_of_options_about_inputs(
-    app: str, values: dict[str, Any], parts: list[str]
-) -> None:
-    found = folder_name_parts(registry().applications[app].options.load()(**values))
-    assert len(found) == len(parts)
-    assert all(re.fullmatch(part, name) for part, name in zip(parts, found, strict=True))
+def test_folders_of_runs_are_named_by_the_users_words(app: str, values: dict[str, Any], name: str) -> None:
+    assert re.fullmatch(name, given_words(parse_fit_options(app, **values)[0]))

@@ -13,7 +13,7 @@ from metapp.runs.outputs.contact_sheet import (
     write_run_sheet,
 )
 from metapp.storage.files import PARTIAL_PREFIX
-from metapp.storage.fit_store import RECORD
+from metapp.storage.fit_folders import RECORD
 
 COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
 

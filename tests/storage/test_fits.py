@@ -14,6 +14,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from metapp.runs.fit import read_fit
+from metapp.runs.spec import Spec
+from metapp.runs.stored_fits import read_fits, read_fits_of_spec
 from metapp.storage.files import (
     PARTIAL_PREFIX,
     file_name,
@@ -23,17 +26,9 @@ from metapp.storage.files import (
     remove_partial,
     write_atomically,
 )
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import (
-    PARAMS,
-    RECORD,
-    FitStore,
-    name_with_digest,
-    read_fit_records,
-    read_params,
-    write_fit,
-)
+from metapp.storage.fit_folders import PARAMS, RECORD, find_fit_folder, name_with_digest, read_params
 from metapp.storage.folders import MARKER
+from tests.kept_fits import fit_of, spec_with, write_fit
 
 
 def test_a_text_has_line_ends_of_one_kind(tmp_path: Path) -> None:
@@ -180,25 +175,24 @@ def test_other_names_are_other_files_and_good_names_stay() -> None:
 THETA = {"w": torch.arange(3.0)}
 
 
-def record(name: str, source: str = "", error: float = 0.5, **more: Any) -> FitRecord:
-    return FitRecord(name=name, source=source or f"/in/{name}.csv", error=error, seconds=0.1, **more)
-
-
 def names(run: Path) -> list[str]:
-    return [record.name for record in read_fit_records(run)]
+    return [fit.name for fit in read_fits(run)]
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
-    fits = FitStore(tmp_path / "run", Settings(steps=10), timed=True)
-    assert fits.records() == {}
+    run = tmp_path / "run"
+    assert read_fits(run) == []
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
-    kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
-    folder = tmp_path / "run" / file_name("red felt/2")
-    assert kept == record("red felt/2", note="größe\u2028\nx", settings=Settings(steps=10), folder=str(folder))
-    assert read_fit_records(tmp_path / "run") == [kept]
+    kept = write_fit(
+        run, fit_of("red felt/2", note="größe\u2028\nx"), theta, lambda folder: (folder / "a.png").write_text("a")
+    )
+    folder = run / file_name("red felt/2")
+    assert kept == fit_of("red felt/2", note="größe\u2028\nx")
+    assert kept.folder == folder
+    assert read_fits(run) == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]
     assert torch.equal(load_file(folder / PARAMS)["w"], torch.ones(3, 2))
-    assert {place.name for place in (tmp_path / "run").iterdir()} == {folder.name, MARKER}
+    assert {place.name for place in run.iterdir()} == {folder.name, MARKER}
 
 
 def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> None:
@@ -209,105 +203,90 @@ def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> N
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match=rf"{tmp_path}: No space left on device; gold was not written; free some space"):
-        write_fit(tmp_path, record("gold"), THETA, draw)
+        write_fit(tmp_path, fit_of("gold"), THETA, draw)
     assert seen == [([PARAMS], [])]
     assert list(tmp_path.iterdir()) == [tmp_path / MARKER]
-    write_fit(tmp_path, record("gold", error=7.0), THETA)
+    write_fit(tmp_path, fit_of("gold", error=7.0), THETA)
     with pytest.raises(OSError, match="No space left"):
-        write_fit(tmp_path, record("gold"), THETA, draw)
-    assert [record.error for record in read_fit_records(tmp_path)] == [7.0]
+        write_fit(tmp_path, fit_of("gold"), THETA, draw)
+    assert [fit.error for fit in read_fits(tmp_path)] == [7.0]
 
 
 def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     # JSON has no such numbers
-    nan: dict[str, Any] = {"errors": {"ssim": float("nan")}, "figures": {"curve": [(1, float("inf"))]}}
+    nan: dict[str, Any] = {"further_errors": {"ssim": float("nan")}, "figures": {"curve": [(1, float("inf"))]}}
     for source, error in (("/a/wall.jpg", 1.0), ("/b/wall.jpg", 2.0), ("/a/wall.jpg", 3.0), ("/b/wall.jpg", 4.0)):
-        write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})
+        write_fit(tmp_path, fit_of("wall", source, error=error, **nan), {"w": torch.tensor([error])})
     marked = name_with_digest("wall", "/b/wall.jpg")
-    assert {record.name: record.error for record in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
+    assert {fit.name: fit.error for fit in read_fits(tmp_path)} == {"wall": 3.0, marked: 4.0}
     assert {folder.name for folder in tmp_path.iterdir()} == {"wall", marked, MARKER}
     assert read_params(tmp_path / marked)["w"] == 4.0
-    fits = FitStore(tmp_path, Settings())
-    found = fits.find("wall", "/b/wall.jpg", "")
-    assert found is not None
-    assert (found.name, found.errors, found.figures) == (marked, {"ssim": None}, {"curve": [[1, None]]})
-    assert fits.holds("wall", "/b/wall.jpg")
-    assert not fits.holds("wall", "/c/wall.jpg")
-    assert fits.find("wall", "/c/wall.jpg", "") is None
+    folder = find_fit_folder(tmp_path, "wall", "/b/wall.jpg")
+    assert folder == tmp_path / marked
+    found = read_fit(folder)
+    assert (found.name, found.further_errors, found.figures) == (marked, {"ssim": None}, {"curve": [[1, None]]})
+    assert find_fit_folder(tmp_path, "wall", "/c/wall.jpg") is None
 
 
-def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None:
-    ten, twenty = (FitStore(tmp_path, Settings(steps=steps, further={"fits": ("a", "b")})) for steps in (10, 20))
+def test_fits_of_other_specifications_and_batches_do_not_count(tmp_path: Path) -> None:
+    ten, twenty = (spec_with(paradigm="meta", steps=steps, conditions={"fits": ("a", "b")}) for steps in (10, 20))
     for name in ("gold", "tin"):
-        ten.write(record(name, name, content="1a2b"), THETA)
-    assert list(ten.records()) == ["gold", "tin"]
-    found = ten.find("gold", "gold", "1a2b")
-    assert found is not None
-    assert found.folder == str(tmp_path / "gold")
-    assert twenty.holds("gold", "gold")
-    assert twenty.find("gold", "gold", "1a2b") is None  # of other settings
-    assert ten.find("gold", "gold", "3c4d") is None  # of an input of other content
-    twenty.write(record("tin", "tin"), THETA)
-    twenty.write(record("zinc", "zinc", batch=4), THETA)  # its seconds are a share
-    assert list(ten.records()) == ["gold"]
-    assert list(twenty.records()) == ["tin"]
+        write_fit(tmp_path, fit_of(name, name, spec=ten), THETA)
+    assert list(read_fits_of_spec(tmp_path, ten)) == ["gold", "tin"]
+    assert read_fits_of_spec(tmp_path, twenty) == {}
+    write_fit(tmp_path, fit_of("tin", "tin", spec=twenty), THETA)
+    write_fit(tmp_path, fit_of("zinc", "zinc", spec=twenty, batch=4), THETA)  # its seconds are a share
+    assert list(read_fits_of_spec(tmp_path, ten)) == ["gold"]
+    assert list(read_fits_of_spec(tmp_path, twenty)) == ["tin"]
     assert names(tmp_path) == ["gold", "tin", "zinc"]
 
 
 @pytest.mark.parametrize("name", ODD)
 def test_a_name_of_any_kind_has_a_folder(tmp_path: Path, name: str) -> None:
-    kept = write_fit(tmp_path, record(name, name), THETA)
+    kept = write_fit(tmp_path, fit_of(name, name), THETA)
     assert kept.name == name
     assert torch.equal(read_params(kept.folder)["w"], THETA["w"])
-    assert write_fit(tmp_path, record(name, name), THETA) == kept
+    assert write_fit(tmp_path, fit_of(name, name), THETA).folder == kept.folder
     assert names(tmp_path) == [name]
 
 
 def test_one_warning_names_the_first_record_that_is_none(tmp_path: Path) -> None:
     for name in ("gold", "tin", "zinc"):
-        write_fit(tmp_path, record(name), THETA)
+        write_fit(tmp_path, fit_of(name), THETA)
     for name in ("gold", "zinc"):
         (tmp_path / name / RECORD).write_text("{")
     (tmp_path / "empty").mkdir()  # none, and no reason to say so
     (tmp_path / "pictures.png").touch()
-    line = rf"gold/{RECORD}: no record, expected one of a task \(.+\); .* 1 more in"
+    line = rf"gold/{RECORD}: no record, expected one of a fit \(.+\); .* 1 more in"
     with pytest.warns(UserWarning, match=line) as caught:
         assert names(tmp_path) == ["tin"]
     assert len(caught) == 1
 
 
 def test_a_fit_that_is_being_written_is_not_read(tmp_path: Path) -> None:
-    write_fit(tmp_path, record("gold"), THETA)
+    write_fit(tmp_path, fit_of("gold"), THETA)
     (tmp_path / "gold").rename(tmp_path / ".partial-1-a-gold")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert names(tmp_path) == []
 
 
-def stored_record(run: Path, entries: dict[str, Any]) -> FitRecord:
-    """Read the record of a folder whose file has these entries."""
-    (run / "gold").mkdir(parents=True)
-    (run / "gold" / RECORD).write_text(json.dumps(entries))
-    (found,) = read_fit_records(run)
-    return found
-
-
-def test_records_have_further_settings_beside_the_others(tmp_path: Path) -> None:
-    settings = Settings(app="brdf", steps=10, further={"precision": "VGG in bfloat16"})
-    kept = write_fit(tmp_path, record("gold", settings=settings))
+def test_records_hold_the_whole_specification_and_nothing_that_is_not_set(tmp_path: Path) -> None:
+    spec = spec_with(
+        checkpoint=tmp_path / "a.safetensors", options={"conserve": True}, conditions={"precision": "half"}
+    )
+    kept = write_fit(tmp_path, fit_of("gold", spec=spec))
     written = json.loads((tmp_path / "gold" / RECORD).read_text())
-    assert written["settings"] == {"app": "brdf", "steps": 10, "precision": "VGG in bfloat16"}
-    assert read_fit_records(tmp_path) == [kept]
-    assert kept.settings == settings
+    assert written.keys() == {"name", "settings", "error", "seconds", "source"}
+    assert written["settings"] == spec.document()
+    assert Spec.of_document(written["settings"]) == spec
+    assert read_fits(tmp_path) == [kept]
 
 
-def test_records_without_wanted_figures_or_seconds_are_none(tmp_path: Path) -> None:
-    found = stored_record(tmp_path, {"name": "gold", "error": None})
-    assert FitStore(tmp_path, found.settings).records() == {"gold": found}
-    with pytest.warns(UserWarning, match=r"expected one of a task \(without curves\); passed over"):
-        assert FitStore(tmp_path, found.settings, ["curves"]).records() == {}
-    with pytest.warns(UserWarning, match=r"expected one of a task \(without seconds\); passed over"):
-        assert read_fit_records(tmp_path, timed=True) == []
+def test_records_without_seconds_are_passed_over(tmp_path: Path) -> None:
+    write_fit(tmp_path, fit_of("gold", seconds=None))
+    with pytest.warns(UserWarning, match=r"gold: without seconds; passed over"):
+        assert read_fits(tmp_path) == []
 
 
 def at_once(writer: Callable[[Path, int], None], run: Path, count: int = 10) -> None:
@@ -323,21 +302,21 @@ def at_once(writer: Callable[[Path, int], None], run: Path, count: int = 10) -> 
 
 def write_four(run: Path, number: int) -> None:
     for i in range(4):  # 40 inputs, of which four have each stem
-        write_fit(run, record(f"wall-{number}" if i % 2 else "wall", f"/{number}/{i}/x.jpg", note="x" * 10_000), THETA)
+        write_fit(run, fit_of(f"wall-{number}" if i % 2 else "wall", f"/{number}/{i}/x.jpg", note="x" * 10_000), THETA)
 
 
 def write_the_same(run: Path, number: int) -> None:
     for name in "abcd":
-        write_fit(run, record(name, figures={"by": number}), {"w": torch.full((1000,), float(number))})
+        write_fit(run, fit_of(name, figures={"by": number}), {"w": torch.full((1000,), float(number))})
 
 
 def test_ten_programs_write_at_once_and_lose_nothing(tmp_path: Path) -> None:
     at_once(write_four, tmp_path)
-    records = read_fit_records(tmp_path, timed=True)
-    assert {record.source for record in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
-    assert len({record.name for record in records}) == len(records) == 40
-    for record in records:
-        assert torch.equal(read_params(record.folder)["w"], THETA["w"])
+    fits = read_fits(tmp_path)
+    assert {fit.source for fit in fits} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
+    assert len({fit.name for fit in fits}) == len(fits) == 40
+    for fit in fits:
+        assert torch.equal(read_params(fit.folder)["w"], THETA["w"])
 
 
 def test_ten_programs_write_the_same_inputs_at_once(tmp_path: Path) -> None:

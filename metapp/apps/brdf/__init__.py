@@ -36,14 +36,12 @@ def register(registry: Registry) -> None:
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         inputs="reflectance that depends on phi_h",
         suits={"anisotropic": True},
-        mixed_recipe="anisotropic",  # its network can also fit isotropic materials
         paradigms=("meta", "overfit"),
     )
     brdf.recipes["few"] = RecipeEntry(
         "metapp.apps.brdf.few.app:FEW_RECIPE",
         inputs="200 samples or fewer",
         suits={"samples": (1, 200)},  # with more samples the recipe "full" has lower errors
-        mixed_recipe="full",
         paradigms=("meta",),
     )
     brdf.networks["nbrdf"] = Lazy("metapp.apps.brdf.nbrdf_network:NBRDF_NETWORK")

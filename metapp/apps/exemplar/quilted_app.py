@@ -20,7 +20,6 @@ from metapp.apps.exemplar.quilts import choose_quilt, resize_tile
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.quilted import fetch_pieces
 
-WARM_UP_CANDIDATES = 2  # quilts of a fit that is thrown away: from two on they are compared
 LARGEST_PHOTO_PX = 4096  # side at which photographs are read, of which pieces are fetched
 QUILT_KEYS = ("places", "quilt")  # parameters of fits that the exemplar determines and no step changes
 
@@ -48,10 +47,6 @@ class QuiltedExemplarApp(ExemplarApp):
     @override
     def read_size(self) -> int:
         return LARGEST_PHOTO_PX
-
-    @override
-    def warm_up_app(self) -> QuiltedExemplarApp:
-        return replace(self, candidates=min(self.candidates, WARM_UP_CANDIDATES))
 
     @override
     def without_quilts(self) -> QuiltedExemplarApp:

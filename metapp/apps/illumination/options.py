@@ -30,11 +30,6 @@ class IlluminationOptions(CameraOptions):
     pitch: Annotated[float, pitch_option()] = 0.0
 
     @override
-    def recorded_values(self) -> dict[str, object]:
-        """Add the camera's pitch, by which later exports and pages level the map, too."""
-        return super().recorded_values() | ({"pitch": self.pitch} if self.pitch else {})
-
-    @override
     def reader_keywords(self) -> dict[str, Any]:
         """Leave out the shutter times: readers read single photos, which are merged by them later."""
         return {name: value for name, value in super().reader_keywords().items() if name != "shutter"}

@@ -17,8 +17,10 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.fitter import rng_of
-from metapp.storage.fit_records import FitRecord, Settings
+from metapp.paradigms.methods import descend_tasks
+from metapp.runs.fit import Fit
+from metapp.runs.fitting import rng_of
+from metapp.runs.resolve import recipe_of
 
 TRACED_TASKS = 5  # test tasks whose fits are traced along their steps
 STEP_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a fit's steps, after which errors are measured
@@ -33,33 +35,33 @@ CONVERGENCE_COLUMNS = columns(
 
 def convergence(evaluation: EvaluationRun) -> Table:
     """Make the table of Meta's errors after shares of its steps and after further steps, beside Overfit's error."""
-    records, within = trace_records(evaluation), paper_figures()["further_steps"]["within"]
+    fits, within = traced_fits(evaluation), paper_figures()["further_steps"]["within"]
     paper_steps = paper_figure(evaluation, "further_steps", "steps")
 
     def step_row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
-        traced = [replace(record, error=error) for record, error in zip(records, errors, strict=True)]
+        traced = [replace(fit, error=error) for fit, error in zip(fits, errors, strict=True)]
         entries = {"part": part, "step": step, "further": None, "near": None, "paper_further": None}
         return make_row(evaluation, paradigm, traced, entries)
 
     def row_at_share(paradigm: str, share: float) -> Row:
-        step = step_at(share, evaluation.choices[paradigm].paradigm.steps)
-        errors = [dict(record.figures["curves"][paradigm]).get(step) for record in records]
+        step = step_at(share, evaluation.steps(paradigm))
+        errors = [dict(fit.figures["curves"][paradigm]).get(step) for fit in fits]
         return step_row(paradigm, f"{share:.0%}", step, errors)
 
-    further_row = step_row("meta", "further", None, [record.figures["further"][-1][1] for record in records])
+    further_row = step_row("meta", "further", None, [fit.figures["further"][-1][1] for fit in fits])
     further_row["paper_further"] = paper_steps
     notes = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER_STEPS))} steps; step: the "
         f"median over tasks of the further steps after which Meta is within {within:.0%} of Overfit",
     ]
-    if needed_steps := [further_steps_needed(record) for record in records]:
+    if needed_steps := [further_steps_needed(fit) for fit in fits]:
         median = sorted(needed_steps, key=lambda value: FURTHER_STEPS[-1] + 1 if value is None else value)[
             (len(needed_steps) - 1) // 2
         ]
         further_row |= {"further": median, "near": sum(value is not None for value in needed_steps)}
         further_row["step"] = f"+{median}" if median is not None else f"> +{FURTHER_STEPS[-1]}"
         notes.append(
-            f"{further_row['near']} of {len(records)} tasks come within {within:.0%} of Overfit"
+            f"{further_row['near']} of {len(fits)} tasks come within {within:.0%} of Overfit"
             + (f" (paper: after {paper_steps} further steps)" if paper_steps else "")
         )
     notes.append(f"traces of {len(_select_traced(evaluation))} of {len(evaluation.tasks)} tasks, evenly spaced")
@@ -68,10 +70,10 @@ def convergence(evaluation: EvaluationRun) -> Table:
     return Table(evaluation.title, title, CONVERGENCE_COLUMNS, rows, notes)
 
 
-def further_steps_needed(record: FitRecord) -> int | None:
+def further_steps_needed(fit: Fit) -> int | None:
     """Return the further steps after which Meta's error is within 1 % of Overfit's; None if none suffice."""
-    steps, error = record.figures["further"][-1]
-    return steps if is_near(error, record.figures["curves"]["overfit"][-1][1]) else None
+    steps, error = fit.figures["further"][-1]
+    return steps if is_near(error, fit.figures["curves"]["overfit"][-1][1]) else None
 
 
 def is_near(error: float | None, other_error: float | None) -> bool:
@@ -90,18 +92,15 @@ def _select_traced(evaluation: EvaluationRun) -> list[Task]:
     return select_evenly(evaluation.tasks, TRACED_TASKS if evaluation.whole else evaluation.long_fit_tasks)
 
 
-def trace_records(evaluation: EvaluationRun) -> list[FitRecord]:
+def traced_fits(evaluation: EvaluationRun) -> list[Fit]:
     """Return traces of a few tasks: errors of each paradigm along its steps, and after further steps of Meta."""
-    settings = Settings(
-        app=evaluation.app.name, observe=evaluation.app.observes, further={"further": list(FURTHER_STEPS)}
-    )
-    store = evaluation.record_store("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
-    steps = sum(evaluation.choices[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
+    spec = evaluation.spec_of_kind("trace", {"further": list(FURTHER_STEPS)}, CURVE_PARADIGMS)
+    steps = sum(evaluation.steps(name) for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
 
-    def measure(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
-        return ((_trace(evaluation, task), None) for task in tasks)
+    def measure(tasks: list[Task]) -> Iterator[Fit]:
+        return (_trace(evaluation, task) for task in tasks)
 
-    return evaluation.measure_records("trace", store, measure, _select_traced(evaluation), steps)
+    return evaluation.measure("trace", evaluation.folder("trace"), spec, measure, _select_traced(evaluation), steps)
 
 
 def step_at(share: float, steps: int) -> int:
@@ -116,20 +115,27 @@ def curve_steps(steps: int) -> set[int]:
     }
 
 
-def _trace(evaluation: EvaluationRun, task: Task) -> FitRecord:
-    """Trace the fits of one task and return the record."""
-    stacked = stack_tasks(evaluation.app, [task], evaluation.choice.device)
+def _trace(evaluation: EvaluationRun, task: Task) -> Fit:
+    """Trace the fits of one task."""
+    stacked = stack_tasks(evaluation.app, [task], evaluation.specs["meta"].device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for name in CURVE_PARADIGMS:
-        choice, phi = evaluation.choices[name], evaluation.fitters[name].checkpoint.phi
-        measured_steps = curve_steps(choice.paradigm.steps)
-        descent = choice.paradigm.descend(phi, stacked, rng_of(choice, task))  # equals the row's fit: of equal draws
+        spec, method = evaluation.specs[name], evaluation.fitters[name].method
+        measured_steps = curve_steps(method.steps)
+        descent = descend_tasks(method, stacked, rng_of(spec, task))  # equals the row's fit: of equal draws
         states = {state.step: state.theta for state in descent if state.step in measured_steps}  # [1, ...] each
         curves[name] = [(step, _error_of(evaluation, states[step], stacked)) for step in sorted(measured_steps)]
-    meta = states[choice.paradigm.steps]  # `choice` and `states` are still Meta's, the last of CURVE_PARADIGMS
+    meta = states[method.steps]  # `method` and `states` are still Meta's, the last of CURVE_PARADIGMS
     further = _continue_meta(evaluation, task, stacked, meta, curves["overfit"][-1][1])
     error, scale = curves["meta"][-1][1], evaluation.app.error_measure.scale
-    return FitRecord(name=task.name, error=error, scale=scale, figures={"curves": curves, "further": further})
+    return Fit(
+        name=task.name,
+        spec=evaluation.specs["meta"],
+        error=error,
+        source=task.name,
+        scale=scale,
+        figures={"curves": curves, "further": further},
+    )
 
 
 def _error_of(evaluation: EvaluationRun, theta: Params, stacked: Tasks) -> float | None:
@@ -153,12 +159,12 @@ def _continue_meta(
     Returns:
         (further steps, error) of descents, each of which begins at Meta's result and has a rate that decays to its end.
     """
-    recipe = evaluation.choice.recipe
+    recipe = recipe_of(evaluation.specs["meta"])
     errors = [(0, _error_of(evaluation, theta, stacked))]
     for steps in FURTHER_STEPS:
         if overfit_error is None or is_near(errors[-1][1], overfit_error):
             break
-        rng = rng_of(evaluation.choice, task)
+        rng = rng_of(evaluation.specs["meta"], task)
         rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(evaluation.app, recipe.samples)
         errors.append((steps, _error_of(evaluation, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

@@ -18,8 +18,7 @@ from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.parameters import read_checked_params
+from metapp.runs.fit import Fit
 
 IMAGE_COLUMNS = columns(
     "paradigm",
@@ -34,64 +33,65 @@ IMAGE_COLUMNS = columns(
 
 def image(evaluation: EvaluationRun) -> Table:
     """Make the table of image measures: a row for each measure of each picture, those without a fit first."""
-    return make_image_table(evaluation, picture_records(evaluation) if evaluation.presenter.picture_measure else [])
+    return make_image_table(evaluation, fits_with_measures(evaluation) if evaluation.presenter.picture_measure else [])
 
 
-def make_image_table(evaluation: EvaluationRun, records: list[FitRecord]) -> Table:
-    """Make the table of image measures of records that hold them, see :func:`picture_records`."""
-    rows = _make_rows(evaluation, records) if evaluation.presenter.picture_measure else []
+def make_image_table(evaluation: EvaluationRun, fits: list[Fit]) -> Table:
+    """Make the table of image measures of fits that hold them, see :func:`fits_with_measures`."""
+    rows = _make_rows(evaluation, fits) if evaluation.presenter.picture_measure else []
     notes = image_notes(evaluation, rows)
     return Table(evaluation.title, "measures in image space", IMAGE_COLUMNS, rows, notes)
 
 
-def picture_records(evaluation: EvaluationRun) -> list[FitRecord]:
+def fits_with_measures(evaluation: EvaluationRun) -> list[Fit]:
     """Measure the pictures of all paradigms, task by task, since the paradigms share a task's reference."""
     app = evaluation.app
-    by_paradigm = {name: {record.name: record for record in evaluation.records(name)} for name in PARADIGMS}
+    by_paradigm = {name: {fit.name: fit for fit in evaluation.fits(name)} for name in PARADIGMS}
 
-    def measure(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
+    def measure(tasks: list[Task]) -> Iterator[Fit]:
         for task in tasks:
-            task_records = {name: records[task.name] for name, records in by_paradigm.items()}
             fits = {
-                name: TimedFit(read_checked_params(record, app), record.seconds or 0.0)
-                for name, record in task_records.items()
+                name: TimedFit(fits[task.name].parameters, fits[task.name].seconds or 0.0)
+                for name, fits in by_paradigm.items()
             }
             measures = measure_pictures(evaluation.presenter, fits, task)
-            yield FitRecord(name=task.name, error=None, figures={"measures": measures}), None
+            yield Fit(name=task.name, spec=evaluation.given, figures={"measures": measures}, source=task.name)
 
     measure_texts = [evaluation.presenter.picture_measure, describe_picture_measures(app.name)[0]]
-    settings = Settings(app=app.name, further={"measure": measure_texts})
-    store = evaluation.record_store("image", settings, ("measures",), PARADIGMS)
-    return evaluation.measure_records("pictures", store, measure, min(map(evaluation.tasks_of, PARADIGMS), key=len))
+    spec, tasks = (
+        evaluation.spec_of_kind("image", {"measure": measure_texts}, PARADIGMS),
+        map(evaluation.tasks_of, PARADIGMS),
+    )
+    return evaluation.measure("pictures", evaluation.folder("image"), spec, measure, min(tasks, key=len))
 
 
-def _make_rows(evaluation: EvaluationRun, records: list[FitRecord]) -> list[Row]:
+def _make_rows(evaluation: EvaluationRun, fits: list[Fit]) -> list[Row]:
     """Make the rows of all measures, of pictures without a fit and of all paradigms."""
-    measures = [record.figures["measures"] for record in records]
+    measures = [fit.figures["measures"] for fit in fits]
     other_names = dict.fromkeys(name for by_name in measures for name in by_name if name not in PARADIGMS)
     keys = dict.fromkeys(key for by_name in measures for values in by_name.values() for key in values)
     return [
-        _make_measure_row(evaluation, name, records, key)
+        _make_measure_row(evaluation, name, fits, key)
         for key in keys or ("",)
         for name in (*other_names, *PARADIGMS)
         if name != REFERENCE_ERROR_NAME or any(key in by_name[name] for by_name in measures)
     ]
 
 
-def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[FitRecord], key: str) -> Row:
+def _make_measure_row(evaluation: EvaluationRun, name: str, fits: list[Fit], key: str) -> Row:
     """Make the row of one method by one measure.
 
     Args:
-        evaluation: the application, with its tasks and records.
+        evaluation: the application, with its tasks and fits.
         name: a paradigm, or the name of a picture that is made without a fit.
-        records: the records of tasks, with their measures.
+        fits: fits of tasks, with their measures.
         key: the measure; "" if nothing was measured yet.
     """
     app, measure = evaluation.app.name, registry().measures.get(key)
     bound, is_ssim = paper_figures()["ssim"]["at_least"], key.startswith("SSIM")
     more_is_better = is_ssim or (measure is not None and measure.load().more_is_better)
 
-    measured = [replace(record, error=record.figures["measures"].get(name, {}).get(key)) for record in records]
+    measured = [replace(fit, error=fit.figures["measures"].get(name, {}).get(key)) for fit in fits]
     values = list(errors_by_task(measured).values())
     return make_row(evaluation, name, measured, {}) | {
         "measure": key or None,

@@ -34,10 +34,10 @@ RESULT_COLUMNS = columns(
 
 def results(evaluation: EvaluationRun) -> Table:
     """Make the table of error and time of every paradigm, and of Meta by every rule that has a checkpoint."""
-    rows = result_rows(evaluation, evaluation.choices)
-    overfit_errors = errors_by_task(evaluation.records("overfit"))
+    rows = result_rows(evaluation, evaluation.specs)
+    overfit_errors = errors_by_task(evaluation.fits("overfit"))
     for row in rows:  # the gap closed needs errors of equal tasks: of the tasks that Overfit was fitted to
-        errors = errors_by_task(evaluation.records(row["paradigm"]))
+        errors = errors_by_task(evaluation.fits(row["paradigm"]))
         is_known = overfit_errors and overfit_errors.keys() <= errors.keys()
         row["shared_error"] = statistics.fmean(errors[task] for task in overfit_errors) if is_known else None
     notes = [
@@ -46,7 +46,7 @@ def results(evaluation: EvaluationRun) -> Table:
         *comparison_notes(rows),
     ]
     title = f"mean error{evaluation.app.error_measure.factor}, median seconds of inference"
-    fits = {name: evaluation.records(name) for name in PARADIGMS}
+    fits = {name: evaluation.fits(name) for name in PARADIGMS}
     findings = (evaluation.presenter.caption(), describe_gap(evaluation, rows))
     return Table(evaluation.title, title, RESULT_COLUMNS, rows, notes, fits, findings)
 
@@ -56,15 +56,14 @@ def result_rows(evaluation: EvaluationRun, names: Collection[str]) -> list[Row]:
 
     Fits of few steps are measured first, so that most of a table is known soon.
     """
-    for name in sorted(names, key=lambda name: evaluation.choices[name].paradigm.steps):
-        evaluation.records(name)
+    for name in sorted(names, key=evaluation.steps):
+        evaluation.fits(name)
     rows = []
     for name in names:
-        choice = evaluation.choices[name]
-        rule = choice.options.rule if choice.paradigm.has_learned_rule else None
-        entries = {"rule": rule, "steps": choice.paradigm.steps, "few": evaluation.is_of_subset(name)}
+        rule, steps = evaluation.specs[name].rule or None, evaluation.steps(name)
+        entries = {"rule": rule, "steps": steps, "few": evaluation.is_of_subset(name)}
         entries |= paper_entries(evaluation, name)
-        rows.append(make_row(evaluation, name, evaluation.records(name), entries, COMPARED_ROWS))
+        rows.append(make_row(evaluation, name, evaluation.fits(name), entries, COMPARED_ROWS))
     return rows
 
 

@@ -12,7 +12,10 @@ from metapp.evaluation.rows import make_row, paper_figure, paper_figures
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
-from metapp.runs.fitter import Fitter
+from metapp.paradigms import PARADIGMS
+from metapp.paradigms.trainings import trainings_of
+from metapp.runs.fitting import Fitter
+from metapp.runs.resolve import app_of, recipe_of
 
 EXEMPLAR_COUNTS = (1, 10, 100, 1000)  # exemplars, m in the paper, that the columns of bytes are for
 STORAGE_COLUMNS = columns(
@@ -42,7 +45,7 @@ def parameter_bytes(params: Params) -> int:
 
 def checkpoint_bytes(fitter: Fitter | None) -> int | None:
     """Return the bytes of the checkpoint of a fitter, from which any fit is made; None without a fitter."""
-    return None if fitter is None else sum(parameter_bytes(part) for part in fitter.checkpoint.phi)
+    return None if fitter is None else sum(parameter_bytes(part) for part in fitter.phi)
 
 
 def storage(evaluation: EvaluationRun) -> Table:
@@ -52,9 +55,10 @@ def storage(evaluation: EvaluationRun) -> Table:
         paper_figures()["storage"],
     )
     exemplars, rows = figures["exemplars"], []
-    for name, choice in evaluation.choices.items():
+    for name, spec in evaluation.specs.items():
+        takes_long = PARADIGMS[spec.paradigm].takes_long
         shared_bytes, exemplar_bytes = (
-            (0, network_bytes) if choice.paradigm.takes_long else (checkpoint_bytes(evaluation.fitters.get(name)), 0)
+            (0, network_bytes) if takes_long else (checkpoint_bytes(evaluation.fitters.get(name)), 0)
         )
         entries = {"network_bytes": network_bytes, "once_bytes": shared_bytes, "each_bytes": exemplar_bytes}
         row = make_row(evaluation, name, [], entries)
@@ -78,7 +82,7 @@ def storage(evaluation: EvaluationRun) -> Table:
 def samples(evaluation: EvaluationRun) -> Table:
     """Make the table of samples of a task that each paradigm's encoder and steps see, at most all there are."""
     figures = paper_figure(evaluation, "samples", evaluation.app.name)
-    rows = [_make_sample_row(evaluation, name) for name in evaluation.choices]
+    rows = [_make_sample_row(evaluation, name) for name in evaluation.specs]
     meta_row = next(row for row in rows if row["paradigm"] == "meta")
     meta_row["paper_saved"] = figures and figures["saved"]
     if meta_row["seen"] is None:
@@ -99,16 +103,17 @@ def samples(evaluation: EvaluationRun) -> Table:
 
 def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
     """Make the row of one paradigm: samples and bytes that it sees of a task."""
-    choice, fitter = evaluation.choices[name], evaluation.fitters.get(name)
-    samples, steps, tasks = choice.recipe.samples, choice.paradigm.steps, evaluation.tasks
+    spec, fitter, tasks = evaluation.specs[name], evaluation.fitters.get(name), evaluation.tasks
+    recipe, steps = recipe_of(spec), evaluation.steps(name)
+    samples = recipe.samples
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": steps, "batch": samples if steps else None}
     row = make_row(evaluation, name, [], entries)
     visible = evaluation.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    trainings, empty_phi = choice.paradigm.trainings[:1], MetaParameters()
-    phi = fitter.checkpoint.phi if fitter else trainings[0].template(empty_phi) if trainings else empty_phi
+    trainings, empty_phi = trainings_of(spec.paradigm, app_of(spec), recipe, spec.rule)[:1], MetaParameters()
+    phi = fitter.phi if fitter else trainings[0].template(empty_phi) if trainings else empty_phi
     count = min(steps * samples + (visible.encoder_samples if phi.encoder else 0), visible.sample_count)
     return row | {
         "tasks": len(tasks),

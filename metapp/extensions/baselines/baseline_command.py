@@ -6,7 +6,7 @@ work.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +18,8 @@ from metapp.cli.arguments import baseline_words, parameter, parameter_of, set_si
 from metapp.cli.command_tree import make_app_group
 from metapp.cli.console import print_json, standard_output
 from metapp.options import FIT, INPUT, OUTPUT, options_by_name
-from metapp.runs.fit_options import DEFAULT_TASKS_HELP, FitOptions, fit_options
 from metapp.runs.reporter import say
+from metapp.runs.spec import DEFAULT_TASKS_HELP, RunOptions, Spec, parse_fit_options
 
 BASELINE_OPTION_NAMES = ("data", "observe", "recipe", "seed", "out", "quiet")  # options of fits that methods take, too
 
@@ -29,7 +29,8 @@ def make_baseline_command(application: Application) -> Callable[..., None]:
     method_names = ", ".join(application.baselines)
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
-        run_and_print(fit_options(application, "general", inputs or (), device="cpu", **values), method, json=json)
+        spec, options = parse_fit_options(application.name, "general", device="cpu", **values)
+        run_and_print(spec, options, inputs or [], method, json=json)
 
     inputs_argument = typer.Argument(
         metavar="[INPUT]...",
@@ -46,7 +47,8 @@ def make_baseline_command(application: Application) -> Callable[..., None]:
         "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
     )
     option_names = [name for name in BASELINE_OPTION_NAMES if name != "observe" or application.observations]
-    general_options = [options_by_name(FitOptions)[name] for name in option_names]
+    known_options = {**options_by_name(Spec), **options_by_name(RunOptions)}
+    general_options = [known_options[name] for name in option_names]
     own_options = [
         option
         for option in options_by_name(application.options.load()).values()
@@ -72,13 +74,13 @@ def is_size_option(application: Application, option: str) -> bool:
     return option == "size" and issubclass(application.options.load(), ExemplarOptions)
 
 
-def run_and_print(options: FitOptions, method: str, *, json: bool) -> None:
-    """Run a method on the inputs of options, and print a table of its fits, or one JSON object."""
+def run_and_print(spec: Spec, options: RunOptions, paths: Sequence[Path], method: str, *, json: bool) -> None:
+    """Run a method on inputs, and print a table of its fits, or one JSON object."""
     from metapp.extensions.baselines.baseline_run import run_baseline
 
-    baseline_run = run_baseline(options, method)
+    baseline_run = run_baseline(spec, options, paths, method)
     if not (options.quiet or json):
-        standard_output().print(baseline_run.describe(), soft_wrap=len(baseline_run.records) == 1)
+        standard_output().print(baseline_run.describe(), soft_wrap=len(baseline_run.fits) == 1)
     if not options.quiet:
         say(f"{method} cannot {baseline_run.cannot}\nfits: {baseline_run.path}")
     if json:
@@ -87,6 +89,6 @@ def run_and_print(options: FitOptions, method: str, *, json: bool) -> None:
                 "method": method,
                 "out": str(baseline_run.path),
                 "cannot": baseline_run.cannot,
-                "tasks": [{**record.document(), "folder": record.folder} for record in baseline_run.records],
+                "tasks": [{**fit.document(), "folder": str(fit.folder)} for fit in baseline_run.fits],
             }
         )

@@ -7,30 +7,26 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rich.table import Table
 
-from metapp.appearance.presenter import Presenter
 from metapp.cli.fit_output import fit_line, fits_table
 from metapp.entries import did_you_mean
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
-from metapp.extensions.baselines.baseline_fits import (
-    BASELINE_FIGURES,
-    baseline_settings,
-    find_training_folder,
-    fit_baselines,
-)
+from metapp.extensions.baselines.baseline_fits import find_training_folder, fit_baselines
+from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.choice import Choice, find_and_choose
-from metapp.runs.fit_options import FitOptions
-from metapp.runs.inputs.run_inputs import find_inputs, read_tasks, task_digest
+from metapp.runs.data_sets.embedded import embedded_folders
+from metapp.runs.fit import Fit
+from metapp.runs.inputs.finding import DATA_SET_FORMAT, Input, content_of, data_label, find
 from metapp.runs.outputs.fit_files import write_pictures
-from metapp.runs.reporter import progress
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import FitStore
+from metapp.runs.reporter import progress, say
+from metapp.runs.resolve import app_of, presenter_of, resolve
+from metapp.runs.spec import RunOptions, Spec, given_words
 
 
 class BaselineRun(NamedTuple):
@@ -39,65 +35,97 @@ class BaselineRun(NamedTuple):
     Attributes:
         method: the name of the method.
         cannot: what the method cannot do, as words that follow "cannot".
-        presenter: the presenter of the application.
         path: the folder of the predictions.
-        records: the records of all tasks, in their order.
+        fits: the predictions of all inputs, in their order.
     """
 
     method: str
     cannot: str
-    presenter: Presenter[Any]
     path: Path
-    records: Sequence[FitRecord]
+    fits: Sequence[Fit]
 
     def describe(self) -> Table | str:
         """Return a table of the fits, or one line if there is a single task."""
-        if len(self.records) > 1:
-            return fits_table(self.presenter, self.method, self.records)
-        return fit_line(self.presenter, self.records[0])
+        return fits_table(self.fits) if len(self.fits) > 1 else fit_line(self.fits[0])
 
 
-def run_baseline(options: FitOptions, method: str) -> BaselineRun:
-    """Run a method on the inputs of options, and keep its predictions, with their records, in a run's folder.
+def run_baseline(spec: Spec, options: RunOptions, paths: Sequence[Path], method: str) -> BaselineRun:
+    """Run a method on the inputs of a command, and keep its predictions in a run's folder.
 
     Args:
-        options: the options of a fit; those that no method reads have no effect.
+        spec: the specification of a fit; what no method reads has no effect.
+        options: the options of the command.
+        paths: the inputs; none for the test tasks of a data set.
         method: the name of the method.
 
     Raises:
         BadOption: the application has no such method, or the method writes files of one size alone.
         ValueError: inputs are bad, or a method that learns from training tasks has none.
     """
-    choice = find_and_choose(options)
-    baseline, (inputs, label) = _find_baseline(choice, method), find_inputs(choice)
-    tasks = read_tasks(inputs)
-    if baseline.learns and find_training_folder(choice, baseline, make=True) is None:
-        raise ValueError(f"{choice.app.name} {method}: no training tasks to learn from; give a data set with --data.")
-    path = choice.folder(label, f"baseline-{method}")
-    store = FitStore(path, baseline_settings(choice, baseline, label), BASELINE_FIGURES)
-    records = []
+    inputs = find(spec, paths, options.data, quiet=options.quiet)
+    specs, reasons = resolve(spec, inputs, trained=False)
+    for line in () if options.quiet else reasons:
+        say(line)
+    folders = [Path(one.path) for one in inputs if one.format == DATA_SET_FORMAT]
+    is_embedded_set = bool(folders) and inputs[0].data in map(data_label, embedded_folders(spec.application))
+    data = options.data or (folders[0] if folders and not is_embedded_set else None)
+    label = inputs[0].data if data and folders else ""
+    path = options.out / spec.app / given_words(replace(spec, paradigm=f"baseline-{method}"), label)
+    tasks = _read_tasks(inputs, specs)
+    fits: dict[int, Fit] = {}
     with progress(method, len(tasks), quiet=options.quiet) as bar:
-        fits = fit_baselines(choice, baseline, tasks, warm=False)
-        for task, (record, picture, prediction_at_size) in zip(tasks, fits, strict=True):
-            record.content, record.origin = task_digest(task), choice.origin(choice.options.paths)
-            files = choice.presenter.prediction_pictures(prediction_at_size(choice.presenter.size), task)
-            records.append(store.write(record, picture, functools.partial(write_pictures, files)))
-            bar.advance(task.name)
-    return BaselineRun(method, baseline.cannot, choice.presenter, path, records)
+        for group_spec in {id(specs[number]): specs[number] for number in tasks}.values():
+            baseline = _find_baseline(group_spec, method)
+            training_folder = find_training_folder(group_spec, baseline, data, make=is_embedded_set)
+            if baseline.learns and training_folder is None:
+                raise ValueError(f"{spec.app} {method}: no training tasks to learn from; give a data set with --data.")
+            group = [number for number in tasks if specs[number] is group_spec]
+            answers = fit_baselines(group_spec, baseline, [tasks[number] for number in group], training_folder)
+            presenter = presenter_of(group_spec, app_of(group_spec))
+            for number, (fit, prediction_at_size) in zip(group, answers, strict=True):
+                one, task = inputs[number], tasks[number]
+                files = presenter.prediction_pictures(prediction_at_size(presenter.size), task)
+                fit.name, fit.source, fit.format, fit.inputs = one.name, one.place, one.format, list(one.given)
+                fit.content = content_of(task)
+                fit.keep(path, draw=functools.partial(write_pictures, files))
+                fits[number] = fit
+                bar.advance(one.name)
+    return BaselineRun(method, baseline.cannot, path, [fits[number] for number in sorted(fits)])
 
 
-def _find_baseline(choice: Choice, method: str) -> Baseline:
+def _read_tasks(inputs: Sequence[Input], specs: Sequence[Spec]) -> dict[int, Task]:
+    """Read the tasks of inputs, by the number of the input; a damaged file that was found in a folder is left out.
+
+    Raises:
+        ValueError: a named input is damaged, or no input can be read.
+    """
+    tasks = {}
+    for number, (one, spec) in enumerate(zip(inputs, specs, strict=True)):
+        try:
+            tasks[number] = one.read_task(spec, app_of(spec))
+        except ValueError as error:
+            if one.is_named:
+                raise
+            say(f"warning: skipped {error}")
+    if not tasks:
+        raise ValueError(
+            f"{len(inputs)} inputs were found, none can be read, expected one or more; see the warnings above."
+        )
+    return tasks
+
+
+def _find_baseline(spec: Spec, method: str) -> Baseline:
     """Return the baseline of an application by its name.
 
     Raises:
         BadOption: the application has no such method, or the method writes files of one size alone.
     """
-    methods = {baseline.name: baseline for baseline in baselines_of(choice.application, choice.app)}
+    app = app_of(spec)
+    methods = {baseline.name: baseline for baseline in baselines_of(spec.application, app)}
     if method not in methods:
-        names = ", ".join(methods) or f"another application: {choice.app.name} has no method"
-        hint = did_you_mean(method, methods)
-        raise BadOption(f"--method {method}: not one of {choice.app.name}, expected {names}.{hint}")
-    if choice.presenter.size and not methods[method].is_resizable:
+        names = ", ".join(methods) or f"another application: {spec.app} has no method"
+        raise BadOption(f"--method {method}: not one of {spec.app}, expected {names}.{did_you_mean(method, methods)}")
+    if presenter_of(spec, app).size and not methods[method].is_resizable:
         resizable_names = ", ".join(name for name, candidate in methods.items() if candidate.is_resizable) or "none"
         raise BadOption(
             f"--size: {method} writes files of one size, expected a method that makes others: {resizable_names}."

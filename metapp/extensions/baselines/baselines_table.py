@@ -1,6 +1,6 @@
 """The table of baselines: methods without a network beside paradigms, on the same samples of the same tasks.
 
-Rows of paradigms come from records, as in all tables. Predictions of methods are recorded, too, so that each is made
+Rows of paradigms come from kept fits, as in all tables. Predictions of methods are kept, too, so that each is made
 once.
 """
 
@@ -25,16 +25,17 @@ from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.baseline_fits import (
-    BASELINE_FIGURES,
-    baseline_settings,
+    baseline_spec,
     find_training_folder,
     fit_baselines,
     parameters_per_task,
 )
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
+from metapp.paradigms import PARADIGMS
+from metapp.runs.fit import Fit
 from metapp.runs.reporter import say
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import PARAMS
+from metapp.runs.resolve import app_of
+from metapp.storage.fit_folders import PARAMS
 
 SHOWN_PARADIGMS = ("general", "quickft", "meta", "finetune", "overfit")
 BASELINE_COLUMNS = columns(
@@ -52,14 +53,14 @@ def baselines_table(evaluation: EvaluationRun) -> Table:
     # Rules of Meta whose runs have an application, and so a network, of their own are compared, too.
     own_network_names = [
         name
-        for name, choice in evaluation.choices.items()
-        if choice.app != evaluation.app and name not in SHOWN_PARADIGMS
+        for name, spec in evaluation.specs.items()
+        if app_of(spec) != evaluation.app and name not in SHOWN_PARADIGMS
     ]
     available_baselines = _available_baselines(evaluation)
-    records = {baseline.name: baseline_records(evaluation, baseline) for baseline in available_baselines}
+    answers = {baseline.name: baseline_fits(evaluation, baseline) for baseline in available_baselines}
     rows = [
         *(_make_paradigm_row(evaluation, name) for name in (*SHOWN_PARADIGMS, *own_network_names)),
-        *(_make_baseline_row(evaluation, name, fit_records) for name, fit_records in records.items()),
+        *(_make_baseline_row(evaluation, name, fits) for name, fits in answers.items()),
     ]
     notes = [
         *_describe_missing_rows(evaluation, rows, available_baselines),
@@ -69,12 +70,8 @@ def baselines_table(evaluation: EvaluationRun) -> Table:
         *measures_note(evaluation, rows),
         *subset_note(evaluation),
     ]
-    pictured = {
-        name: fit_records
-        for name, fit_records in records.items()
-        if fit_records and Path(fit_records[0].folder, PARAMS).is_file()
-    }
-    meta = evaluation.records("meta")
+    pictured = {name: fits for name, fits in answers.items() if fits and (fits[0].folder / PARAMS).is_file()}
+    meta = evaluation.fits("meta")
     title = (
         f"mean error{evaluation.app.error_measure.factor} and what is kept, "
         "of paradigms and of methods without a network"
@@ -92,35 +89,41 @@ def _available_baselines(evaluation: EvaluationRun) -> list[Baseline]:
             return bool(evaluation.tasks) and all(baseline.stored_tensor in task.data for task in evaluation.tasks)
         if not (baseline.learns and evaluation.tasks):
             return True
-        return find_training_folder(evaluation.choice, baseline, make=evaluation.is_measuring) is not None
+        return _training_folder(evaluation, baseline, make=evaluation.is_measuring) is not None
 
     return [
-        baseline for baseline in baselines_of(evaluation.choice.application, evaluation.app) if is_available(baseline)
+        baseline for baseline in baselines_of(evaluation.given.application, evaluation.app) if is_available(baseline)
     ]
 
 
-def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[FitRecord]:
-    """Return the records of a baseline's fits; fits that are missing are made now, where they may be."""
-    store = None
-    if evaluation.tasks and (not baseline.learns or find_training_folder(evaluation.choice, baseline)):
-        settings = baseline_settings(evaluation.choice, baseline, evaluation.label)
-        store = evaluation.record_store(f"baseline-{baseline.name}", settings, BASELINE_FIGURES)
+def _training_folder(evaluation: EvaluationRun, baseline: Baseline, *, make: bool = False) -> Path | None:
+    """Return the data set whose training tasks a baseline learns from; None for none."""
+    data = evaluation.options.data
+    return find_training_folder(evaluation.specs["general"], baseline, data, make=make and not data)
 
-    def fit_tasks(tasks: list[Task]) -> Iterator[tuple[FitRecord, Params | None]]:
-        """Yield the record and the picture of each task, until one cannot be fitted."""
+
+def baseline_fits(evaluation: EvaluationRun, baseline: Baseline) -> list[Fit]:
+    """Return the fits of a baseline; fits that are missing are made now, where they may be."""
+    general, training_folder = evaluation.specs["general"], _training_folder(evaluation, baseline)
+    can_be_fitted = evaluation.tasks and (not baseline.learns or training_folder)
+    spec = baseline_spec(general, baseline, training_folder) if can_be_fitted else None
+
+    def fit_tasks(tasks: list[Task]) -> Iterator[Fit]:
+        """Yield the fit of each task, until one cannot be fitted."""
         try:
-            for record, picture, _ in fit_baselines(evaluation.choice, baseline, tasks):
-                yield record, picture
+            for fit, _ in fit_baselines(general, baseline, tasks, training_folder):
+                yield fit
         except ValueError as error:
             say(f"{evaluation.app.full_name} {baseline.name}: {error}")
 
-    return evaluation.measure_records(baseline.name, store, fit_tasks, evaluation.tasks)
+    folder = evaluation.folder(f"baseline-{baseline.name}")
+    return evaluation.measure(baseline.name, folder, spec, fit_tasks, evaluation.tasks)
 
 
 def _make_paradigm_row(evaluation: EvaluationRun, name: str) -> Row:
     """Return the row of a paradigm, or of a rule of Meta, with the numbers and bytes that its fits keep."""
-    choice = evaluation.choices[name]
-    theta = parameters_per_task(choice.app)
+    spec = evaluation.specs[name]
+    theta = parameters_per_task(app_of(spec))
     entries = {
         "shared": checkpoint_bytes(evaluation.fitters.get(name)),
         "baseline": False,
@@ -128,18 +131,17 @@ def _make_paradigm_row(evaluation: EvaluationRun, name: str) -> Row:
     }
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
     entries |= paper_entries(evaluation, name)
-    records = evaluation.existing_records(name) if choice.paradigm.takes_long else evaluation.records(name)
-    return make_row(evaluation, name, records, entries, ("meta",))
+    fits = evaluation.existing_fits(name) if PARADIGMS[spec.paradigm].takes_long else evaluation.fits(name)
+    return make_row(evaluation, name, fits, entries, ("meta",))
 
 
-def _make_baseline_row(evaluation: EvaluationRun, name: str, records: list[FitRecord]) -> Row:
+def _make_baseline_row(evaluation: EvaluationRun, name: str, fits: list[Fit]) -> Row:
     """Return the row of a baseline, with the mean numbers and bytes that its fits keep."""
     kept_means = {
-        key: statistics.fmean(record.figures[key] for record in records) if records else None
-        for key in ("numbers", "kept_bytes")
+        key: statistics.fmean(fit.figures[key] for fit in fits) if fits else None for key in ("numbers", "kept_bytes")
     }
-    entries = kept_means | {"shared": records[-1].figures["shared"] if records else None, "baseline": True}
-    return make_row(evaluation, name, records, entries, ("meta",))
+    entries = kept_means | {"shared": fits[-1].figures["shared"] if fits else None, "baseline": True}
+    return make_row(evaluation, name, fits, entries, ("meta",))
 
 
 def _describe_comparisons(all_rows: list[Row]) -> list[str]:
@@ -155,13 +157,13 @@ def _describe_comparisons(all_rows: list[Row]) -> list[str]:
 
 
 def _describe_missing_rows(evaluation: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
-    """Return lines on rows without records and baselines left out, with the commands that add them."""
+    """Return lines on rows without fits and baselines left out, with the commands that add them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
     left_out = [
         baseline
-        for baseline in baselines_of(evaluation.choice.application, evaluation.app)
+        for baseline in baselines_of(evaluation.given.application, evaluation.app)
         if baseline.name not in names
     ]
     lines += [

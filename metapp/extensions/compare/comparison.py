@@ -16,14 +16,16 @@ from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.presenter import Presenter
 from metapp.evaluation.error_statistics import PairedComparison, compare_errors
 from metapp.learning.task import Task
-from metapp.runs.choice import choose_as_recorded
 from metapp.runs.environment import torch_defaults
-from metapp.runs.outputs.contact_sheet import Tiles, tiles_of_methods, write_comparison_sheet
-from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
+from metapp.runs.fit import Fit, find_tasks
+from metapp.runs.fit_pictures import tiles_of_methods, write_comparison_sheet
+from metapp.runs.fit_tables import summarise
+from metapp.runs.outputs.contact_sheet import Tiles
 from metapp.runs.reporter import progress
+from metapp.runs.spec import Spec
+from metapp.runs.stored_fits import read_run
 from metapp.storage import Document
-from metapp.storage.fit_records import FitRecord, Settings, summary
-from metapp.storage.fit_store import PARAMS
+from metapp.storage.fit_folders import PARAMS
 
 MAX_COMPARED_PICTURES = 20  # tasks that the picture shows
 SPHERE_PICTURE_APPS = ("brdf",)  # applications whose pictures are spheres, which show all fits at equal places
@@ -38,26 +40,27 @@ class ComparedRun(NamedTuple):
 
     Attributes:
         label: a word that tells the run from the others.
-        presenter: the presenter of the application, as it was at the first fit.
         folder: the folder of the run.
-        records: the records of the tasks in common, in one order for all runs.
+        fits: the fits of the tasks in common, in one order for all runs.
     """
 
     label: str
-    presenter: Presenter[Any]
     folder: Path
-    records: list[FitRecord]
+    fits: list[Fit]
+
+    @property
+    def presenter(self) -> Presenter[Any]:
+        """The presenter of the application."""
+        return self.fits[-1].presenter
 
     def errors_by_task(self, measure: str = "error") -> dict[str, float]:
         """Return an error, or a further measure, by the names of the tasks that have it."""
-        values = {
-            record.name: record.error if measure == "error" else record.errors.get(measure) for record in self.records
-        }
+        values = {fit.name: fit.error if measure == "error" else fit.further_errors.get(measure) for fit in self.fits}
         return {name: value for name, value in values.items() if value is not None}
 
     def median_seconds(self) -> float | None:
         """Return the median time of a fit, in seconds; None for predictions that were made elsewhere."""
-        return summary(self.records)["seconds"]
+        return summarise(self.fits)["seconds"]
 
 
 class MeanComparison(NamedTuple):
@@ -81,7 +84,7 @@ class Comparison(NamedTuple):
 
     Attributes:
         runs: two or more runs, of which the others are compared with the first.
-        tasks: the tasks of the fits, in the order of the records; none if they cannot be read.
+        tasks: the tasks of the fits, in the order of the fits; none if they cannot be read.
         errors: the error of each run, compared with the first by ratio or by difference.
         measures: by title, each further error of all runs that all of them have.
         notes: important differences between the runs' settings.
@@ -112,11 +115,11 @@ class Comparison(NamedTuple):
             ],
             "tasks": [
                 {
-                    "name": task_records[0].name,
-                    "error": [record.error for record in task_records],
-                    "seconds": [record.seconds for record in task_records],
+                    "name": task_fits[0].name,
+                    "error": [fit.error for fit in task_fits],
+                    "seconds": [fit.seconds for fit in task_fits],
                 }
-                for task_records in zip(*(run.records for run in self.runs), strict=True)
+                for task_fits in zip(*(run.fits for run in self.runs), strict=True)
             ],
             "notes": self.notes,
             "picture": picture and str(picture),
@@ -135,31 +138,26 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
     Raises:
         ValueError: there are no runs, they are of different applications, or have no task in common.
     """
-    stored_runs = [read_run_records(path, task, by_paradigm=False) for path in paths]
-    settings = [run.records[-1].settings for run in stored_runs]
-    by_name = [{record.name: record for record in run.records} for run in stored_runs]
+    stored_runs = [read_run(path, task, by_paradigm=False) for path in paths]
+    specs = [run.fits[-1].spec for run in stored_runs]
+    by_name = [{fit.name: fit for fit in run.fits} for run in stored_runs]
     names = list(by_name[0])
-    for path, run_settings, records_by_name in zip(paths[1:], settings[1:], by_name[1:], strict=True):
-        if run_settings.app != settings[0].app:
-            apps = f"{settings[0].app} and {run_settings.app}"
-            raise ValueError(f"{path}: runs of {apps}, expected runs of one application; take another run.")
-        previous_count, names = len(names), [name for name in names if name in records_by_name]
+    for path, spec, fits_by_name in zip(paths[1:], specs[1:], by_name[1:], strict=True):
+        if spec.app != specs[0].app:
+            raise ValueError(
+                f"{path}: runs of {specs[0].app} and {spec.app}, expected runs of one application; take another run."
+            )
+        previous_count, names = len(names), [name for name in names if name in fits_by_name]
         if not names:
-            counts = f"{previous_count} and {len(records_by_name)} tasks, none in common"
+            counts = f"{previous_count} and {len(fits_by_name)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
+    entries = [_entries_of(spec) for spec in specs]
     runs = [
-        ComparedRun(
-            label,
-            choose_as_recorded(run_settings).presenter,
-            stored_run.folder,
-            [records_by_name[name] for name in names],
-        )
-        for label, run_settings, stored_run, records_by_name in zip(
-            _make_labels(settings), settings, stored_runs, by_name, strict=True
-        )
+        ComparedRun(label, run.folder, [fits_by_name[name] for name in names])
+        for label, run, fits_by_name in zip(_make_labels(entries), stored_runs, by_name, strict=True)
     ]
     app = runs[0].presenter.app
-    tasks_by_name = find_fitted_tasks(stored_runs[0].records, inputs, data)
+    tasks_by_name = find_tasks(stored_runs[0].fits, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     errors = _compare_means([run.errors_by_task() for run in runs], groups, logarithmic=app.error_measure.logarithmic)
@@ -169,7 +167,7 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
     measures = {
         title: _compare_means(run_errors, groups) for title, run_errors in measure_errors.items() if all(run_errors)
     }
-    return Comparison(runs, tasks, errors, measures, _describe_differences(settings, by_name, names))
+    return Comparison(runs, tasks, errors, measures, _describe_differences(entries, by_name, names))
 
 
 def _compare_means(
@@ -198,20 +196,17 @@ def draw_comparison(comparison: Comparison, file: Path, *, quiet: bool) -> tuple
         The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the comparison, for
         spheres with the colour differences of the pictures.
     """
-    fit_files = (Path(record.folder, PARAMS) for run in comparison.runs for record in run.records)
+    fit_files = (fit.folder / PARAMS for run in comparison.runs for fit in run.fits)
     if not comparison.tasks or not all(path.is_file() for path in fit_files):
         return None, comparison
-    records = [{record.name: record for record in run.records} for run in comparison.runs]
+    fits = [{fit.name: fit for fit in run.fits} for run in comparison.runs]
     tasks, presenter = comparison.tasks[:MAX_COMPARED_PICTURES], comparison.runs[0].presenter
     columns = []
     with progress("picture", len(tasks), quiet=quiet) as bar, torch_defaults(single=presenter.app.small_tensors):
         for task in tasks:
-            pairs = zip(comparison.runs, records, strict=True)
-            columns.append(
-                tiles_of_methods(
-                    task, [(run.label, run.presenter, records_by_name[task.name]) for run, records_by_name in pairs]
-                )
-            )
+            pairs = zip(comparison.runs, fits, strict=True)
+            labelled = [(run.label, fits_by_name[task.name]) for run, fits_by_name in pairs]
+            columns.append(tiles_of_methods(task, labelled))
             bar.advance(task.name)
     columns_with_reference = [column for column in columns if "reference" in column.pictures]
     if presenter.app.name in SPHERE_PICTURE_APPS and columns_with_reference:
@@ -249,16 +244,19 @@ def _compare_colours(columns: list[Tiles], comparison: Comparison) -> dict[str, 
     }
 
 
-def _make_labels(settings: Sequence[Settings]) -> list[str]:
-    """Return labels that tell runs apart, made of few settings, after A, B, ... where settings do not suffice."""
-    words: list[tuple[str, ...]] = [() for _ in settings]
-    documents = [run_settings.document() for run_settings in settings]
+def _entries_of(spec: Spec) -> Document:
+    """Return the entries of a specification by which runs can differ, conditions beside the others."""
+    document = spec.document()
+    entries: Document = document | document.get("conditions", {})
+    return entries | {"checkpoint": entries.get("digest"), "paradigm": spec.paradigm or entries.get("method")}
+
+
+def _make_labels(entries: Sequence[Document]) -> list[str]:
+    """Return labels that tell runs apart, made of few entries, after A, B, ... where entries do not suffice."""
+    words: list[tuple[str, ...]] = [() for _ in entries]
     for key in LABEL_KEYS:
         prefix = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
-        values = [
-            f"{prefix}{document.get(key, document.get('method') if key == 'paradigm' else None)}"
-            for document in documents
-        ]
+        values = [f"{prefix}{run_entries.get(key)}" for run_entries in entries]
         longer_words = [(*run_words, value) for run_words, value in zip(words, values, strict=True)]
         words = longer_words if len({*longer_words}) > len({*words}) else words
     if len({*words}) < len(words):
@@ -267,15 +265,14 @@ def _make_labels(settings: Sequence[Settings]) -> list[str]:
 
 
 def _describe_differences(
-    settings: Sequence[Settings], by_name: Sequence[Mapping[str, FitRecord]], names: list[str]
+    entries: Sequence[Document], by_name: Sequence[Mapping[str, Fit]], names: list[str]
 ) -> list[str]:
     """Return notes on differences between runs that labels do not show."""
-    documents = [run_settings.document() for run_settings in settings]
     left_out_count = sum(map(len, by_name)) - len(by_name) * len(names)
-    changed_count = sum(len({records[name].content for records in by_name}) > 1 for name in names)
+    changed_count = sum(len({fits[name].content for fits in by_name}) > 1 for name in names)
     values = {
-        key: [document.get(key) for document in documents]
-        for key in sorted({*NOTED_SETTINGS} & {key for document in documents for key in document})
+        key: [run_entries.get(key) for run_entries in entries]
+        for key in sorted({*NOTED_SETTINGS} & {key for run_entries in entries for key in run_entries})
     }
     return [
         *([f"{left_out_count} tasks that not all runs have are left out"] if left_out_count else []),

@@ -13,8 +13,8 @@ from rich.table import Table
 from metapp.cli.console import escape_control_characters
 from metapp.evaluation.error_statistics import MIN_TASK_GROUPS
 from metapp.extensions.compare.comparison import Comparison, draw_comparison, read_comparison
-from metapp.runs.outputs.run_records import holds_fits
 from metapp.runs.reporter import format_number, progress
+from metapp.runs.stored_fits import holds_fits
 
 
 def compare_runs(
@@ -69,10 +69,10 @@ def comparison_table(comparison: Comparison) -> Table:
     table.add_column("task")
     for run in runs:
         table.add_column(run.label, justify="right")
-    for task_records in zip(*(run.records for run in runs), strict=True):
+    for task_fits in zip(*(run.fits for run in runs), strict=True):
         table.add_row(
-            escape_control_characters(task_records[0].name),
-            *(format_number(record.error, ".3f") for record in task_records),
+            escape_control_characters(task_fits[0].name),
+            *(format_number(fit.error, ".3f") for fit in task_fits),
         )
     table.add_section()
     table.add_row("mean error", *(format_number(measure.mean, ".3f") for measure in comparison.errors))

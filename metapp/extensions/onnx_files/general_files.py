@@ -15,10 +15,11 @@ from metapp.extensions.onnx_files.photographs import (
     decoder_of,
     encode_photo_model,
 )
-from metapp.runs.checkpoint_selection import find_checkpoint
-from metapp.runs.choice import choose
-from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
+from metapp.runs.checkpoints import read_checkpoint
+from metapp.runs.inputs.refusals import check_new_files
 from metapp.runs.reporter import say
+from metapp.runs.resolve import app_of, complete, recipe_of
+from metapp.runs.spec import Spec
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import write_bytes
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME
@@ -43,21 +44,22 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
         ValueError: there is no checkpoint of General of one photograph; onnx or onnxscript is missing.
         BadOption: the file exists already.
     """
-    options = _general_options(path)
+    given = _spec_of_general(path)
     file = folder / f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx"
     check_new_files([file])
     require_packages()
-    choice = choose(options)
-    app, checkpoint = choice.app, find_checkpoint(choice)
+    spec = complete(given)
+    app = app_of(spec)
+    encoder = read_checkpoint(spec, app, recipe_of(spec)).encoder
     assert isinstance(app, SvbrdfNonstationary)
     try:
         side = decoder_of(app).network.height
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
+    metadata = {"made_by": "metapp export", "recipe": spec.recipe, "checkpoint": spec.digest, "license": "MIT"}
     if app.recorded_conditions():
         metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
-    model, any_size = encode_photo_model(app, checkpoint.phi.encoder, metadata)
+    model, any_size = encode_photo_model(app, encoder, metadata)
     write_bytes(file, model)
     if not quiet:
         sizes = f"whose sides are multiples of {MODEL_SIDE_STEP_PX}" if any_size else f"of {side} x {side}"
@@ -65,8 +67,8 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
     return [file]
 
 
-def _general_options(path: Path) -> FitOptions:
-    """Return the options of a fit by General whose checkpoint is a file, or ships by a name.
+def _spec_of_general(path: Path) -> Spec:
+    """Return the specification of fits by General whose checkpoint is a file, or ships by a name.
 
     Raises:
         ValueError: neither a file, nor the name of a checkpoint that ships.
@@ -80,6 +82,5 @@ def _general_options(path: Path) -> FitOptions:
             f"{path}: no such file, expected a run, a checkpoint of General of photos, or the name of one that ships: "
             f"{PHOTO_APP} or {PHOTO_APP}/RECIPE."
         )
-    return fit_options(
-        PHOTO_APP, "general", recipe=recipe, observe="photo", checkpoint=path if is_file else None, quiet=True
-    )
+    checkpoint = path if is_file else None
+    return Spec(app=PHOTO_APP, paradigm="general", recipe=recipe, observe="photo", checkpoint=checkpoint, device="cpu")

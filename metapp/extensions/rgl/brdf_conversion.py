@@ -22,8 +22,7 @@ from data_tools.readers.merl import evaluate_merl, tabulate_merl
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.spectra import fields_in_rgb, fields_in_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
-from metapp.runs.fit_options import check_new_files
-from metapp.runs.inputs.refusals import check_files_of_user
+from metapp.runs.inputs.refusals import check_files_of_user, check_new_files
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import error_about_file
 

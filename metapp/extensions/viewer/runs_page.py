@@ -17,14 +17,15 @@ import torch
 from data_tools.synthetic.examples import write_example
 from metapp.extensions.viewer.view import View, make_view
 from metapp.extensions.viewer.viewer_page import FitGroup, write_page
-from metapp.learning.task import Task
-from metapp.runs.choice import choose_as_recorded, find_and_choose
 from metapp.runs.environment import make_folder, torch_defaults
-from metapp.runs.execution import execute
 from metapp.runs.fit import Fit
-from metapp.runs.fit_options import fit_options
-from metapp.runs.outputs.run_records import RunRecords, find_fitted_tasks, group_by_settings, read_run_records
+from metapp.runs.fitting import Failure, make_fitters
+from metapp.runs.inputs.finding import find
+from metapp.runs.keeping import fit_and_keep
 from metapp.runs.reporter import format_number, progress, say
+from metapp.runs.resolve import resolve
+from metapp.runs.spec import given_words, parse_fit_options
+from metapp.runs.stored_fits import RunFits, provide_tasks, read_run
 from metapp.storage import Document
 from metapp.storage.files import file_name, require_new_file
 
@@ -57,28 +58,21 @@ def write_runs_page(
     Raises:
         ValueError: there is no run, or no fit of that task; records or parameters are damaged; no fit can be shown.
     """
-    runs = [read_run_records(path, task) for path in folders]
+    runs = [read_run(path, task) for path in folders]
     labels, page = _label_runs(runs), out or runs[0].folder / PAGE_FILE_NAME
-    names = dict.fromkeys((record.settings.app, record.name) for _, records in runs for record in records)
+    names = dict.fromkeys((fit.spec.app, fit.name) for _, fits in runs for fit in fits)
     shown_names = list(names)[:most]
     if len(names) > most:
         say(f"view: {most} of {len(names)} tasks; --most {len(names)} shows all.")
     fits_by_task: dict[tuple[str, str], list[tuple[str, Fit]]] = {}
     with progress("view: reading", len(runs), quiet=quiet) as bar:
-        for folder, records in runs:
-            records = [record for record in records if (record.settings.app, record.name) in shown_names]
-            missing = 0
-            for records_of_run in group_by_settings(records):
-                choice = choose_as_recorded(records_of_run[-1].settings)
-                tasks = find_fitted_tasks(records_of_run, list(inputs), data)
-                missing += sum(record.name not in tasks for record in records_of_run)
-                for record in records_of_run:
-                    name = record.name
-                    fit = Fit(choice, tasks.get(name, Task(name, {})), record)
-                    fits_by_task.setdefault((choice.app.name, name), []).append((labels[folder], fit))
-            if missing:
-                found = f"the inputs of {missing} of {len(records)} fits are not at hand"
+        for folder, run_fits in runs:
+            shown = [fit for fit in run_fits if (fit.spec.app, fit.name) in shown_names]
+            if missing := provide_tasks(shown, inputs, data):
+                found = f"the inputs of {missing} of {len(shown)} fits are not at hand"
                 say(f"view: {found}; give them by --input or --data to see references.")
+            for fit in shown:
+                fits_by_task.setdefault((fit.spec.app, fit.name), []).append((labels[folder], fit))
             bar.advance()
     make_folder(page.parent)  # before views are made, which takes time
     groups, omissions = [], list[str]()
@@ -91,28 +85,28 @@ def write_runs_page(
                 except ValueError as error:
                     omissions.append(f"{label} of {error}")
             _, first_fit = fits[0]
-            groups += [FitGroup(first_fit.name, first_fit.choice.presenter.title, views)] if views else []
+            groups += [FitGroup(first_fit.name, first_fit.presenter.title, views)] if views else []
             bar.advance(first_fit.name)
     if not groups:
         raise ValueError(omissions[0])
     for line in omissions:
         say(f"warning: left out: {line}")
-    titles = dict.fromkeys(fits[0][1].choice.presenter.title for fits in fits_by_task.values())
+    titles = dict.fromkeys(fits[0][1].presenter.title for fits in fits_by_task.values())
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
-def _label_runs(runs: Sequence[RunRecords]) -> dict[Path, str]:
+def _label_runs(runs: Sequence[RunFits]) -> dict[Path, str]:
     """Return labels by folder that tell runs of one application apart: the paradigm, and settings that differ."""
-    settings = {run.folder: run.records[-1].settings for run in runs}
-    labels = {folder: run_settings.paradigm for folder, run_settings in settings.items()}
-    for app in {run_settings.app for run_settings in settings.values()}:
-        folders = [folder for folder, run_settings in settings.items() if run_settings.app == app]
+    specs = {run.folder: run.fits[-1].spec for run in runs}
+    labels = {folder: spec.paradigm for folder, spec in specs.items()}
+    for app in {spec.app for spec in specs.values()}:
+        folders = [folder for folder, spec in specs.items() if spec.app == app]
         for key in ("rule", "recipe", "steps", "seed"):
             if len({labels[folder] for folder in folders}) == len(folders):
                 break
             word = f" {key}" if key in ("steps", "seed") else ""
-            if len({str(getattr(settings[folder], key)) for folder in folders}) > 1:
-                labels |= {folder: f"{labels[folder]}{word} {getattr(settings[folder], key)}" for folder in folders}
+            if len({str(getattr(specs[folder], key)) for folder in folders}) > 1:
+                labels |= {folder: f"{labels[folder]}{word} {getattr(specs[folder], key)}" for folder in folders}
     return labels
 
 
@@ -125,7 +119,7 @@ def make_labelled_view(fit: Fit, label: str) -> View:
     """
     try:
         with torch_defaults(single=fit.app.small_tensors):
-            view = make_view(fit.choice.presenter, fit.parameters, fit.task)
+            view = make_view(fit.presenter, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:
             raise
@@ -154,7 +148,7 @@ def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "", *, overwrit
     """
     if path:
         require_new_file(Path(os.fsdecode(path)), overwrite=overwrite)
-    title, views = fit.choice.presenter.title, [make_labelled_view(fit, fit.settings["paradigm"])]
+    title, views = fit.presenter.title, [make_labelled_view(fit, fit.spec.paradigm)]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
     return write_page(f"metapp: {title}", [FitGroup(fit.name, title, views)], page)
 
@@ -176,8 +170,12 @@ def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Do
     """
     begin = time.perf_counter()
     example_file = write_example(app, out / INPUTS_FOLDER)[0]
-    options = fit_options(app, inputs=[example_file], recipe=recipe, out=out, quiet=True)
-    report = execute(find_and_choose(options))
-    (record,) = report.records
-    figures = {"name": record.name, "error": record.error, "seconds": record.seconds}
-    return report.path, {"app": app, **figures, "whole_seconds": time.perf_counter() - begin}
+    spec, options = parse_fit_options(app, recipe=recipe or None, out=out, quiet=True)
+    inputs = find(spec, [example_file])
+    specs, _ = resolve(spec, inputs)
+    make_folder(out)
+    (fit,) = fit_and_keep(make_fitters(specs), inputs, out / app / given_words(spec), options)
+    if isinstance(fit, Failure):
+        raise fit.error
+    figures = {"name": fit.name, "error": fit.error, "seconds": fit.seconds}
+    return fit.folder, {"app": app, **figures, "whole_seconds": time.perf_counter() - begin}

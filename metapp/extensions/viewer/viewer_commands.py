@@ -16,8 +16,8 @@ from metapp.cli.arguments import FittedData, JsonFlag, Overwrite, Quiet, app_wor
 from metapp.cli.console import print_json
 from metapp.options import BadOption
 from metapp.registry import registry
-from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import format_number, progress, say
+from metapp.runs.spec import application_named
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 

@@ -1,5 +1,1 @@
-"""Inputs of fits: from what a user names to tasks.
-
-In order of reading: `finding` tells which format reads a path, `refusals` says why a path is none, and `run_inputs`
-reads tasks of files, data sets and objects in memory.
-"""
+"""Inputs of fits, from what a user names: `finding` finds them, `refusals` says why a path is none."""

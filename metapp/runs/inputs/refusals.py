@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
+from metapp.options import BadOption
 from metapp.registry import registry
 from metapp.storage.files import printable_name, read_bytes
 from metapp.storage.folders import MANIFEST, FolderKind, path_kind, read_json
@@ -74,6 +77,17 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     kind = path_kind(path)
     if kind and not (data_sets and kind is FolderKind.DATA_SET):
         raise ValueError(path_refusal(path, kind, expected))
+
+
+def check_new_files(paths: Iterable[Path]) -> None:
+    """Refuse to overwrite files: one that is there already may be a measurement.
+
+    Raises:
+        BadOption: one of the files is there already.
+    """
+    for path in paths:
+        if os.path.lexists(path):
+            raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")
 
 
 def _manifest_app(folder: Path) -> str:

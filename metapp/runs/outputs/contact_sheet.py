@@ -9,7 +9,7 @@ import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image as pil
@@ -18,13 +18,9 @@ from PIL.Image import Image
 from torch import Tensor
 
 from metapp.appearance.colour import composite_to_srgb
-from metapp.appearance.presenter import Presenter
-from metapp.learning.task import Params, Task
-from metapp.storage.files import PARTIAL_PREFIX, write_atomically
-from metapp.storage.fit_records import FitRecord
-from metapp.storage.fit_store import RECORD, read_params
+from metapp.storage.files import write_atomically
+from metapp.storage.fit_folders import fit_folders
 from metapp.storage.image_writers import to_8_bit_image
-from metapp.storage.parameters import check_params
 
 SHEET_FILE_NAME = "pictures.png"  # the name of a run's contact sheet in the folder of the run
 MAX_SHEET_ROWS = 8  # number of fits in a sheet; a line says how many more there are
@@ -35,7 +31,6 @@ REFERENCE_PREFIX = "reference "  # the beginning of the name of a picture that s
 # A font in matplotlib's package, found without importing it; Pillow's own font lacks umlauts
 FONT_PATH = "mpl-data/fonts/ttf/DejaVuSans.ttf"
 TASK_PICTURE_NAMES = ("reference", "photo", "samples")  # names of pictures that belong to the task, not to a fit
-PICTURE_KEY = "picture"  # the tensor that methods without a network keep in place of parameters
 
 
 class Tiles(NamedTuple):
@@ -111,9 +106,7 @@ def write_run_sheet(tiles: Sequence[Tiles], title: str, run_folder: Path) -> Pat
     Returns:
         The file that was written.
     """
-    records = run_folder.glob(f"*/{RECORD}")
-    count = sum(not record.parent.name.startswith(PARTIAL_PREFIX) for record in records)
-    return write_contact_sheet(tiles, title, run_folder / SHEET_FILE_NAME, count)
+    return write_contact_sheet(tiles, title, run_folder / SHEET_FILE_NAME, len(fit_folders(run_folder)))
 
 
 def _font(letter_px: int) -> ImageFont.FreeTypeFont:
@@ -159,61 +152,8 @@ def _shorten(text: str, width: int, font: ImageFont.FreeTypeFont) -> str:
     return text[:cut] + "…"
 
 
-def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: FitRecord) -> Tiles:
-    """Return the pictures of a fit and the text about its error.
-
-    Args:
-        presenter: the presenter of the application.
-        task: the task that was fitted.
-        theta: the parameters of the fit, without a task axis.
-        record: the record of the fit.
-    """
-    return Tiles(_to_display_values(presenter.tiles(theta, task)), record.name, {"": _error_text(record, "error ")})
-
-
-def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Presenter[Any], FitRecord]]) -> Tiles:
-    """Return the reference, the photo or the samples of a task, then a picture of each fit of the task by its label.
-
-    Args:
-        task: the task.
-        fits: for each fit the label, the presenter of its application, and its record.
-    """
-    tiles: dict[str, np.ndarray] = {}
-    for label, presenter, record in fits:
-        theta = read_params(record.folder)
-        if PICTURE_KEY not in theta:
-            check_params(theta, presenter.app, record.folder)
-        pictures = {"fit": theta[PICTURE_KEY]} if PICTURE_KEY in theta else presenter.preview(theta, task)
-        if not tiles:
-            tiles |= _to_display_values({name: pictures[name] for name in TASK_PICTURE_NAMES if name in pictures})
-        tiles[label] = composite_to_srgb(pictures["fit"])
-    return Tiles(tiles, task.name, {label: _error_text(record) for label, _, record in fits})
-
-
-def write_comparison_sheet(presenter: Presenter[Any], tasks: list[Tiles], file: Path) -> Path:
-    """Write a contact sheet of fits that are compared, with the error of each fit below its picture.
-
-    Args:
-        presenter: the presenter of the application.
-        tasks: the rows, each with all fits of one task.
-        file: the file to write, a PNG.
-
-    Returns:
-        The file that was written.
-    """
-    return write_contact_sheet(
-        tasks, f"{presenter.title}: mean error{presenter.app.error_measure.factor} of each fit below it", file
-    )
-
-
-def _error_text(record: FitRecord, prefix: str = "") -> str:
-    """Return the error of a fit as a text, or its difference from the photo if there is no reference."""
-    if record.error is not None:
-        return f"{prefix}{record.error:.3f}"
-    return "" if record.photo_error is None else f"|fit - photo| {record.photo_error:.2f} %"
-
-
-def _to_display_values(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
+def to_display_values(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
+    """Convert linear RGB pictures [H, W, 3 or 4], by name, to display values [H, W, 3] in [0, 1]."""
     return {name: composite_to_srgb(picture) for name, picture in pictures.items()}
 
 

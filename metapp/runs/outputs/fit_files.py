@@ -6,24 +6,27 @@ What pictures show is decided by the application's presenter, how a format lies 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from torch import Generator
 
 from metapp.appearance.colour import stretch_to_unit_range, tone_map
 from metapp.appearance.pictures import Picture, ScenePictures
-from metapp.learning.app import stack_tasks
+from metapp.appearance.presenter import Presenter
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task, add_task_axis
 from metapp.options import OUTPUT
-from metapp.runs.checkpoint_selection import find_checkpoint
-from metapp.runs.choice import Choice, choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.inputs.run_inputs import task_digest
+from metapp.paradigms.methods import fit_tasks, make_method
+from metapp.runs.checkpoints import read_checkpoint
+from metapp.runs.inputs.finding import content_of
 from metapp.runs.reporter import format_number, say
+from metapp.runs.resolve import complete, recipe_of
+from metapp.runs.spec import Spec
 from metapp.storage.checkpoint_files import tensor_digest
 from metapp.storage.files import move_files, name_file_in_errors, partial_path
-from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.image_writers import write_exr, write_png
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME
 
@@ -31,21 +34,22 @@ SCENE_SUFFIXES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of a file in a 
 WRITER_THREADS = 2  # number of pictures that are compressed at a time
 
 
-def render_outputs(choice: Choice, task: Task, theta: Params) -> ScenePictures:
+def render_outputs(spec: Spec, app: App, task: Task, theta: Params) -> ScenePictures:
     """Render the outputs that options ask for, such as --render of transport.
 
     Args:
-        choice: the choice of the fit.
+        spec: the specification of the fit.
+        app: the network of the fit.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
 
     Returns:
         The pictures by name, and lines about them for the user.
     """
-    output_options, outputs = choice.options.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
-    for name, entry in choice.application.outputs.items():
+    output_options, outputs = spec.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
+    for name, entry in spec.application.outputs.items():
         if name in output_options:
-            pictures, lines = entry.load()(choice.app, task, theta, output_options[name])
+            pictures, lines = entry.load()(app, task, theta, output_options[name])
             outputs = ScenePictures(outputs.files | pictures, [*outputs.lines, *lines])
     return outputs
 
@@ -77,16 +81,15 @@ def _write_picture(file: Path, picture: Picture) -> None:
     write_png(pixels, texts, file)
 
 
-def export_path(record: FitRecord, form: str, out: Path | None = None) -> Path:
+def export_path(folder: Path, form: str, out: Path | None = None) -> Path:
     """Return the path of an export of a fit, without suffix.
 
     Args:
-        record: the record of the fit.
+        folder: the folder of the fit.
         form: the name of the file format.
         out: the folder to write to; None for a folder of the format's name in the folder of the fit.
     """
-    name = Path(record.folder).name
-    return out / name if out else Path(record.folder, form, name)
+    return (out or folder / form) / folder.name
 
 
 def file_to_open(path: Path) -> Path:
@@ -102,16 +105,15 @@ def file_to_open(path: Path) -> Path:
     return candidates[0] if len(candidates) == 1 else path.parent
 
 
-def export_to_new_files(
-    choice: Choice, task: Task, theta: Params, path: Path, name: str, settings: Settings, *, overwrite: bool
-) -> Path:
-    """Write one fit in another file format, without replacing files unless that is asked for.
+def export_to_new_files(write: Callable[[Path], object], path: Path, *, overwrite: bool) -> Path:
+    """Write an export of one fit without replacing files, unless that is asked for.
 
     Which files a format writes is known once they are written. So they are written into a folder beside their place,
     and then moved.
 
     Args:
-        choice, task, theta, path, name, settings: the arguments of :func:`export_fit`.
+        write: a function that writes the export to the path that it is given, without suffix.
+        path: the path of the export, without suffix.
         overwrite: whether existing files are replaced.
 
     Returns:
@@ -126,7 +128,7 @@ def export_to_new_files(
     try:
         with name_file_in_errors(path):
             partial.mkdir(parents=True)
-            export_fit(choice, task, theta, partial / path.name, name, settings)
+            write(partial / path.name)
             written = sorted(partial.iterdir())
             move_files(partial, path.parent, overwrite=overwrite)
     except ValueError as error:
@@ -136,66 +138,68 @@ def export_to_new_files(
     return path.with_name(written[0].name) if len(written) == 1 else path.parent
 
 
-def export_fit(choice: Choice, task: Task, theta: Params, path: Path, name: str, settings: Settings) -> None:
+def export_fit(spec: Spec, presenter: Presenter[Any], task: Task, theta: Params, form: str, path: Path) -> None:
     """Write one fit in another file format; a format for another network gets the fit distilled into that network.
 
     Args:
-        choice: the choice of the fit, whose options have the size of surfaces.
-        task: the task that was fitted.
+        spec: the specification of the fit, which an asset states as its provenance.
+        presenter: the presenter of the fit, which has the size of surfaces.
+        task: the task that was fitted; without data if its input is not at hand.
         theta: the parameters of the fit, without a task axis.
+        form: the name of the format.
         path: the file to write, without suffix; its last part names an asset.
-        name: the name of the format.
-        settings: the settings in the record of the fit, which an asset states as its provenance.
+
+    Raises:
+        KeyError: the format holds something of the input, too, which the task lacks.
+        ValueError: the format cannot hold this fit.
+        OSError: the files cannot be written.
     """
-    app = choice.app
-    form = choice.application.exports[name]
-    write = form.load()
-    if form.of_surface:
-        surface = choice.presenter.surface(theta, task)
+    app, entry = presenter.app, spec.application.exports[form]
+    write = entry.load()
+    if entry.of_surface:
+        surface = presenter.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
-        write(surface, path, {"task": task.name, **settings.document()})
-        return
-    if form.of_task:
+        write(surface, path, {"task": task.name, **spec.document()})
+    elif entry.of_task:
         write(app, task, path)
-        return
-    if form.holds and set(theta) != set(form.holds):
-        key = f"{app.name} {task_digest(task)} {tensor_digest(theta)}"
-        if key not in _DISTILLED_FITS:
-            _DISTILLED_FITS.clear()
-            _DISTILLED_FITS[key] = distill_fit(choice, task, theta)
-        theta = _DISTILLED_FITS[key]
-    write(app, theta, path)
+    else:
+        is_of_other_network = entry.holds and set(theta) != set(entry.holds)
+        write(app, distill(presenter, task, theta) if is_of_other_network else theta, path)
 
 
 _DISTILLED_FITS: dict[str, Params] = {}  # the last distilled fit alone, for all formats that it is written in
 
 
-def distill_fit(choice: Choice, task: Task, theta: Params) -> Params:
+def distill(presenter: Presenter[Any], task: Task, theta: Params) -> Params:
     """Distill a fit into the application's usual network, and say by how much the error grows.
 
     Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
-    itself.
+    itself. The last result is kept, for further formats of the same fit.
 
     Args:
-        choice: the choice of the fit.
+        presenter: the presenter of the fit.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
 
     Returns:
         Parameters of the usual network, without a task axis.
     """
-    options = fit_options(choice.application, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
-    usual, app = choose(options), choice.app
-    sampled_task = choice.presenter.sample_fit(theta, task)
+    app = presenter.app
+    key = f"{app.name} {content_of(task)} {tensor_digest(theta)}"
+    if key in _DISTILLED_FITS:
+        return _DISTILLED_FITS[key]
+    spec = complete(Spec(app=app.name, paradigm="finetune", recipe=QUICK_RECIPE_NAME))
+    recipe, sampled_task = recipe_of(spec), presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
-    distilled = usual.paradigm.fit(
-        find_checkpoint(usual).phi, stack_tasks(usual.app, [sampled_task]), Generator().manual_seed(options.seed)
-    )
+    method = make_method(spec.paradigm, recipe.app, recipe, read_checkpoint(spec, recipe.app, recipe), steps=spec.steps)
+    distilled = fit_tasks(method, stack_tasks(recipe.app, [sampled_task]), Generator().manual_seed(spec.seed))
     error_before, error_after = (
         format_number(
             app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
         )
-        for any_app, params in ((app, add_task_axis(theta)), (usual.app, distilled))
+        for any_app, params in ((app, add_task_axis(theta)), (recipe.app, distilled))
     )
     say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
-    return {key: value[0] for key, value in distilled.items()}
+    _DISTILLED_FITS.clear()
+    _DISTILLED_FITS[key] = {key: value[0] for key, value in distilled.items()}
+    return _DISTILLED_FITS[key]

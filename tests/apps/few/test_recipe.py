@@ -42,7 +42,7 @@ def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Calla
     facts = {source.name: source.facts for source in gonio.find(tmp_path)[0]}
     assert facts == {"brushed": {"anisotropic": True, "samples": 4000}, "plain": {"anisotropic": False, "samples": 500}}
     fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
-    assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
+    assert "recipe anisotropic, as the input has reflectance that depends on phi_h" in fitted.err
     isotropic = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
     assert fitted.json_result["error"] < 0.7 * isotropic.json_result["error"]
     assert "fitted as isotropic: phi_h is left out" in isotropic.err

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -46,11 +47,10 @@ from metapp.apps.svbrdf_nonstationary.pretrained.scars import trust_texels
 from metapp.learning.learn import descend, final_item, task_loss
 from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms.adam import General
-from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import fit_options
+from metapp.paradigms.trainings import general_training
 from metapp.storage.checkpoint_files import tensor_digest
 from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
+from tests.kept_fits import resolve_inputs
 from tests.recipe_apps import recipes_of
 
 
@@ -89,9 +89,9 @@ def test_pretrained_is_the_default_of_fits_from_general_where_weights_are(
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
 
     def chosen(paradigm: str, **options: object) -> str:
-        return find_and_choose(
-            fit_options(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)
-        ).options.recipe
+        given: dict[str, Any] = {"observe": "photo", "data": tmp_path / "set"} | options
+        (recipe,) = {spec.recipe for spec in resolve_inputs(APP, paradigm=paradigm, **given)[0]}
+        return recipe
 
     defaults = {chosen(paradigm) for paradigm in ("general", "quickft", "meta")}
     assert defaults == {"pretrained" if has else "full"}
@@ -145,7 +145,8 @@ def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_a_few_outer_steps_lower_the_loss(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup_steps=0)
-    (general,) = General.of(app, replace(RECIPE, general=training)).trainings
+    general = general_training(app, replace(RECIPE, general=training))
+    assert general.outer_loss is not None
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch

@@ -35,7 +35,7 @@ def test_maps_are_as_large_as_the_photographs(coin: Path, paradigm: str) -> None
     truth = wavy_maps(56).normal[:, :40].permute(1, 2, 0).numpy()
     angles = np.degrees(np.arccos((fit.maps["normal"] * truth).sum(-1).clip(-1, 1)))
     assert angles.mean() < 3
-    assert fit.record.figures["left_out_db"] > 30
+    assert fit.figures["left_out_db"] > 30
     assert fit.warning == ""
 
 

@@ -23,7 +23,8 @@ from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import PARADIGMS, paradigm_of
+from metapp.paradigms import PARADIGMS
+from metapp.paradigms.methods import descend_tasks, make_method
 from metapp.storage.parameters import check_params
 from tests.apps.test_svbrdf_nonstationary import material
 from tests.recipe_apps import presenter_of
@@ -168,8 +169,8 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SvbrdfNonstationary, c
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
     batch = app.sample(tasks, Generator(), 1)
     for name in PARADIGMS:
-        paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
-        steps = list(paradigm.descend(phi, tasks, Generator()))
+        method = make_method(name, app, recipe, phis.get(name, MetaParameters(encoder=encoder)))
+        steps = list(descend_tasks(method, tasks, Generator()))
         first, last = steps[0].theta, steps[-1].theta
         assert last["maps"].shape == (1, sum(CHANNELS), SIDE, SIDE)
         assert last["flash"].shape == (1, FLASH_NUMBERS, count)

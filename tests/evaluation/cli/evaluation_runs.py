@@ -11,8 +11,7 @@ import pytest
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.style import FIGURE_STYLE
-from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import fit_options
+from metapp.runs.spec import parse_fit_options
 from tests.small_spheres import shrink_spheres
 
 
@@ -37,10 +36,8 @@ def run_metapp(*arguments: str | Path) -> int:
 
 def evaluation_run_of(data: Path, runs: Path) -> EvaluationRun:
     """Return the evaluation of a BRDF data set, with the runs that a folder holds."""
-    planned = find_and_choose(
-        fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
-    )
-    return EvaluationRun(planned, is_measuring=True)
+    planned = parse_fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
+    return EvaluationRun(*planned, is_measuring=True)
 
 
 def table_rows(evaluation_run: EvaluationRun, name: str) -> list[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,36 +13,30 @@ from metapp.apps.brdf.presenter import BrdfPresenter
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import paper_figures
 from metapp.evaluation.tables.ablation import (
-    InitialisationAlone,
-    RuleAlone,
     combine_halves,
     has_general_initialisation,
     learned_rule_rows,
+    swap_initialisations,
 )
-from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, STEP_SHARES, trace_records
+from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, STEP_SHARES, traced_fits
 from metapp.evaluation.tables.image import image_notes
 from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes, samples
 from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Adam
+from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Task
-from metapp.runs.checkpoint_selection import Checkpoint
-from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import fit_options
-from metapp.runs.fitter import Fitter
+from metapp.runs.spec import parse_fit_options
 from tests.evaluation.cli.evaluation_runs import evaluation_run_of, table_rows
 from tests.evaluation.test_notes import row
 
 
 def test_the_ablation_has_four_corners(evaluation_run: EvaluationRun) -> None:
     """Two of them are rows of the results; rules with a network of their own have none."""
-    planned = EvaluationRun(
-        find_and_choose(fit_options("brdf", "general", recipe="quick", quiet=True)), is_measuring=False
-    )
-    assert "meta:ridge" in planned.choices
+    planned = EvaluationRun(*parse_fit_options("brdf", "general", recipe="quick", quiet=True), is_measuring=False)
+    assert "meta:ridge" in planned.specs
     assert learned_rule_rows(planned) == [
-        name for name in planned.choices if name.startswith("meta") and name != "meta:ridge"
+        name for name in planned.specs if name.startswith("meta") and name != "meta:ridge"
     ]
     ablation = {(row["start"], row["rule"]): row["error"] for row in table_rows(evaluation_run, "ablation")}
     results = {row["paradigm"]: row["error"] for row in table_rows(evaluation_run, "results")}
@@ -55,38 +48,40 @@ def test_the_ablation_has_four_corners(evaluation_run: EvaluationRun) -> None:
 
 
 def test_ablation_rows_combine_the_named_start_and_rule(evaluation_run: EvaluationRun) -> None:
-    places = [Path(records[0].folder).parent.name for _, _, records in combine_halves(evaluation_run, "meta")]
+    places = [fits[0].folder.parent.name for _, _, fits in combine_halves(evaluation_run, "meta")]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
-    meta, general = (evaluation_run.fitters[name].checkpoint.phi for name in ("meta", "general"))
-    tasks, recipe = stack_tasks(evaluation_run.app, evaluation_run.tasks), evaluation_run.choice.recipe
-    start, rule = InitialisationAlone.of(evaluation_run.app, recipe), RuleAlone.of(evaluation_run.app, recipe)
+    meta, general, quickft = (evaluation_run.fitters[name] for name in ("meta", "general", "quickft"))
+    tasks, recipe = stack_tasks(evaluation_run.app, evaluation_run.tasks), meta.recipe
+    rule, start = swap_initialisations(meta, quickft)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
-    ours = start.initialisation(meta, tasks, rngs[0])
-    assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
-    theirs = rule.initialisation(general._replace(alpha=meta.alpha), tasks, rngs[1])
-    encoded = evaluation_run.choices["general"].paradigm.initialisation(general, tasks, rngs[2])
+    ours = start.start(tasks, rngs[0])
+    assert all(torch.equal(value[1], meta.phi.theta[key]) for key, value in ours.items())
+    theirs = rule.start(tasks, rngs[1])
+    encoded = general.method.start(tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert start.steps == rule.steps == 10
+    assert (rule.rule, rule.loss) == (meta.method.rule, meta.method.loss)
+    assert (rule.adam, rule.guard) == (None, Guard(recipe.quickft))
+    assert (start.adam, start.guard) == (quickft.method.adam, None)
 
 
 def test_an_initialisation_that_is_generals_is_not_fitted_twice(evaluation_run: EvaluationRun) -> None:
     meta, general = (evaluation_run.fitters[name] for name in ("meta", "general"))
     assert not has_general_initialisation(evaluation_run, "meta")
-    own_checkpoint = Checkpoint(meta.checkpoint.phi._replace(theta={}, encoder=general.checkpoint.phi.encoder), "", "")
-    evaluation_run.fitters["meta"] = replace(meta, checkpoint=own_checkpoint)
+    evaluation_run.fitters["meta"] = meta._replace(phi=meta.phi._replace(theta={}, encoder=general.phi.encoder))
     assert has_general_initialisation(evaluation_run, "meta")
-    fits = [evaluation_run.records("meta"), evaluation_run.records("quickft")]
-    assert [records for _, _, records in combine_halves(evaluation_run, "meta")] == fits
+    fits = [evaluation_run.fits("meta"), evaluation_run.fits("quickft")]
+    assert [found for _, _, found in combine_halves(evaluation_run, "meta")] == fits
     assert any("General's own" in note for note in evaluation_run.table("ablation").notes)
 
 
 def test_a_trace_is_the_fit_itself(evaluation_run: EvaluationRun) -> None:
-    traces = trace_records(evaluation_run)
+    traces = traced_fits(evaluation_run)
     for name in CURVE_PARADIGMS:
-        last = {record.name: record.figures["curves"][name][-1] for record in traces}
-        errors = {record.name: pytest.approx(record.error, rel=1e-6) for record in evaluation_run.records(name)}
+        last = {fit.name: fit.figures["curves"][name][-1] for fit in traces}
+        errors = {fit.name: pytest.approx(fit.error, rel=1e-6) for fit in evaluation_run.fits(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
-        assert {step for step, _ in last.values()} == {evaluation_run.choices[name].paradigm.steps}
+        assert {step for step, _ in last.values()} == {evaluation_run.steps(name)}
     assert [row["step"] for row in table_rows(evaluation_run, "convergence")[: len(STEP_SHARES)]] == [0, 2, 5, 8, 10]
 
 
@@ -107,7 +102,7 @@ def test_the_papers_rule_stores_two_networks(evaluation_run: EvaluationRun) -> N
     app = evaluation_run.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").initial_alpha(app, theta, 10, Adam(0.1))
-    found = checkpoint_bytes(Fitter(evaluation_run.choice, Checkpoint(MetaParameters(theta, alpha), "", ""), ""))
+    found = checkpoint_bytes(evaluation_run.fitters["meta"]._replace(phi=MetaParameters(theta, alpha)))
     assert found == paper_figures()["storage"]["meta_networks"] * parameter_bytes(theta)
 
 
@@ -141,7 +136,7 @@ def test_picture_table_has_the_registered_measures(data: Path, evaluated_folder:
     (kept,) = (runs / "brdf").glob("image-*")
     shutil.rmtree(kept)
     subject = evaluation_run_of(data, runs)
-    subject.presenter = Measured(subject.app, subject.choice.application)
+    subject.presenter = Measured(subject.app, subject.given.application)
     subject.has_paper_figures = True  # as of embedded tasks
     by = {(row["paradigm"], row["measure"]): row for row in table_rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5

@@ -16,10 +16,11 @@ from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.environment import find_device
+from metapp.runs.fit import Fit
 from metapp.runs.reporter import Bar, Reporter, use_reporter
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import FitStore
+from metapp.runs.spec import Spec
 from tests.evaluation.cli.evaluation_runs import evaluation_run_of
+from tests.kept_fits import fit_of, spec_with, write_fit
 from tests.recipe_apps import app_by_recipe, application
 
 
@@ -29,33 +30,36 @@ def empty(data: Path, tmp_path: Path) -> EvaluationRun:
     return evaluation_run_of(data, tmp_path / "runs")
 
 
+def spec_of(title: str) -> Spec:
+    return spec_with(conditions={"title": title})
+
+
 @pytest.fixture
 def measure(empty: EvaluationRun, tmp_path: Path) -> Callable:
     """Records of the materials under a title; `during` is called for each."""
 
-    def measured(title: str, during: Callable[[str], object] = len, steps: int = 0, **more: bool) -> list[FitRecord]:
-        def of_tasks(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
+    def measured(title: str, during: Callable[[str], object] = len, steps: int = 0) -> list[Fit]:
+        def of_tasks(tasks: list[Task]) -> Iterator[Fit]:
             for task in tasks:
                 during(task.name)
-                yield FitRecord(name=task.name, error=1.0), None
+                yield fit_of(task.name, task.name, 1.0, seconds=None)
 
-        fits = FitStore(tmp_path / title, Settings.of({"title": title}))
-        return empty.measure_records(title, fits, of_tasks, empty.tasks, steps, **more)
+        return empty.measure(title, tmp_path / title, spec_of(title), of_tasks, empty.tasks, steps)
 
     return measured
 
 
 def test_missing_records_are_measured_once(measure: Callable, empty: EvaluationRun, tmp_path: Path) -> None:
     log: list[str] = []
-    FitStore(tmp_path / "some", Settings.of({"title": "some"})).write(FitRecord(name="m1", error=0.5))
+    write_fit(tmp_path / "some", fit_of("m1", "m1", 0.5, spec_of("some")))
     for _ in range(2):
-        records = measure("some", log.append)
-        assert [(record.name, record.error) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
+        fits = measure("some", log.append)
+        assert [(fit.name, fit.error) for fit in fits] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
         assert log == ["m0", "m2"]
-    assert all(records[i].content for i in (0, 2))
+    assert all(fits[i].content for i in (0, 2))
     empty.is_measuring = False
     assert measure("others", log.append) == []
-    assert {title: len(records) for title, (_, records) in empty.requested.items()} == {"some": 3, "others": 0}
+    assert {title: len(fits) for title, (_, fits) in empty.requested.items()} == {"some": 3, "others": 0}
     assert len(log) == 2
 
 
@@ -73,11 +77,11 @@ def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: C
 
 
 def test_fits_of_few_steps_come_first(empty: EvaluationRun) -> None:
-    assert empty.existing_records("general") == []
+    assert empty.existing_fits("general") == []
     rows = result_rows(empty, ("overfit", "finetune", "general", "quickft"))
     assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general", "quickft"]
     assert list(empty.requested) == ["general", "finetune", "quickft", "overfit"]
-    assert [record.name for record in empty.existing_records("general")] == ["m0", "m1", "m2"]
+    assert [fit.name for fit in empty.existing_fits("general")] == ["m0", "m1", "m2"]
 
 
 class Heard(Reporter, Bar):
@@ -98,7 +102,7 @@ class Heard(Reporter, Bar):
 
 
 def test_the_progress_counts_gradient_steps(measure: Callable, empty: EvaluationRun) -> None:
-    empty.choice = replace(empty.choice, options=replace(empty.choice.options, quiet=False))
+    empty.options = replace(empty.options, quiet=False)
     with use_reporter(heard := Heard()):
         measure("long", steps=99)
     assert heard.shown == [
@@ -113,7 +117,7 @@ def test_rows_are_printed_as_soon_as_they_are_measured(measure: Callable, empty:
     with use_reporter(heard := Heard()):
         measure("quiet")
         assert heard.lines == []
-        empty.choice = replace(empty.choice, options=replace(empty.choice.options, quiet=False))
+        empty.options = replace(empty.options, quiet=False)
         for _ in range(2):  # the second time it is there
             measure("some")
     assert heard.lines == ["brdf some: mean error 1.000, 3 tasks"]
@@ -141,7 +145,9 @@ def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypa
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     two = {name: application(name) for name in ("texture", "transport")}
     monkeypatch.setattr("metapp.cli.evaluation_output.registry", lambda: SimpleNamespace(applications=two))
-    monkeypatch.setattr("metapp.evaluation.evaluation_run.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
+    monkeypatch.setattr("metapp.evaluation.evaluation_run.make_embedded_test_set", lambda *_: tmp_path)
+    monkeypatch.setattr("metapp.evaluation.evaluation_run.find_in_data_set", lambda *_: [])  # drawn in minutes
+    monkeypatch.setattr("metapp.evaluation.evaluation_run.data_label", lambda *_: "none")
     with use_reporter(heard := Heard()):
         assert [one.app.name for one in evaluation_runs_of(EvaluateOptions(out=tmp_path), [])] == ["transport"]
     (line,) = heard.lines

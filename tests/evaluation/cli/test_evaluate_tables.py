@@ -13,6 +13,7 @@ from metapp.evaluation.evaluation_run import LONG_FIT_TASKS, EvaluationRun
 from metapp.evaluation.table import filled_columns
 from metapp.learning.app import stack_tasks
 from metapp.registry import registry
+from metapp.runs.fitting import fit_tasks_of
 from tests.evaluation.cli.evaluation_runs import table_rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
@@ -50,7 +51,7 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, evaluated_
 
 def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(evaluation_run: EvaluationRun) -> None:
     found = {row["paradigm"]: row for row in table_rows(evaluation_run, "results")}
-    ours, theirs = ([record.error for record in evaluation_run.records(name)] for name in ("meta", "quickft"))
+    ours, theirs = ([fit.error for fit in evaluation_run.fits(name)] for name in ("meta", "quickft"))
     pair = found["meta"]["vs_quickft"]
     assert pair
     assert pair.low <= pair.value <= pair.high
@@ -66,7 +67,7 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(evaluation
 
 def test_fits_that_carry_a_warning_are_counted(evaluation_run: EvaluationRun) -> None:
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
-    for i, record in enumerate(evaluation_run.records("meta")):
+    for i, record in enumerate(evaluation_run.fits("meta")):
         record.threads, record.warning = 1, warnings.get(i, record.warning)
     for name in ("results", "quickft", "ablation"):
         found = table_rows(evaluation_run, name)
@@ -85,8 +86,8 @@ def test_fits_that_carry_a_warning_are_counted(evaluation_run: EvaluationRun) ->
 def test_rows_whose_fits_got_little_cpu_are_named(
     cpu_seconds: float | None, said: str, evaluation_run: EvaluationRun
 ) -> None:
-    for name in evaluation_run.choices:
-        for record in evaluation_run.records(name):
+    for name in evaluation_run.specs:
+        for record in evaluation_run.fits(name):
             record.seconds = record.cpu_seconds = 2.0  # whatever this machine does beside the tests
             if name == "meta" and cpu_seconds is None:
                 record.cpu_seconds = None
@@ -108,9 +109,9 @@ def test_fits_record_the_cpu_seconds_that_they_got(
             pass
         return stack_tasks(*arguments)
 
-    monkeypatch.setattr("metapp.runs.fitter.stack_tasks", stack)
-    (fit,) = evaluation_run.fitters["general"].fit_side_by_side(evaluation_run.tasks[:1])
-    seconds, cpu_seconds = fit.record.seconds, fit.record.cpu_seconds
+    monkeypatch.setattr("metapp.runs.fitting.stack_tasks", stack)
+    (fit,) = fit_tasks_of(evaluation_run.fitters["general"], evaluation_run.tasks[:1])
+    seconds, cpu_seconds = fit.seconds, fit.cpu_seconds
     assert seconds is not None
     assert cpu_seconds is not None
     assert seconds > 0.5
@@ -213,7 +214,9 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
 
 
 def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: EvaluationRun) -> None:
-    short_evaluation = EvaluationRun(evaluation_run.choice, is_measuring=True, whole=False, long_fit_tasks=2)
+    short_evaluation = EvaluationRun(
+        evaluation_run.given, evaluation_run.options, is_measuring=True, whole=False, long_fit_tasks=2
+    )
     whole, few = (
         {row["paradigm"]: row for row in table_rows(one, "results")} for one in (evaluation_run, short_evaluation)
     )
@@ -222,7 +225,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: Eva
     assert few["meta"]["error"] == whole["meta"]["error"]
     names = [task.name for task in short_evaluation.tasks_of("overfit")]
     for name, row in few.items():
-        errors = {record.name: record.error for record in evaluation_run.records(name)}
+        errors = {fit.name: fit.error for fit in evaluation_run.fits(name)}
         assert row["shared_error"] == pytest.approx(sum(errors[task] for task in names) / 2)
         assert whole[name]["shared_error"] == pytest.approx(whole[name]["error"])
     # the gap closed is of the tasks that all three have
@@ -238,4 +241,4 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: Eva
     short_evaluation.is_measuring = False
     for name in ("image", "convergence", "baselines"):
         assert short_evaluation.table(name).rows
-    assert all(len(tasks) == len(records) for tasks, records in short_evaluation.requested.values())
+    assert all(len(tasks) == len(fits) for tasks, fits in short_evaluation.requested.values())

@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fit_store import read_fit_records
+from metapp.runs.stored_fits import read_fits
 from tests.pictures import write_noise_map, write_noise_photo
 
 
@@ -16,7 +16,7 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> No
     result = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
     assert result.code == 0, result.err
     out = Path(result.json_document["out"])
-    (record,) = read_fit_records(out)
+    (record,) = read_fits(out, by_paradigm=False)
     assert record.name == "wall"
     assert record.error == result.json_document["tasks"][0]["error"] > 0
     assert record.seconds is not None

@@ -16,18 +16,17 @@ from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.figures import draw_figure as draw_figure
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import CostLimits, TrainingTasks
-from metapp.extensions.baselines.baselines_table import baseline_records, baselines_table
+from metapp.extensions.baselines.baselines_table import baseline_fits, baselines_table
 from metapp.extensions.examples.examples_command import example_lines
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
-from metapp.runs.choice import find_and_choose
-from metapp.runs.fit_options import fit_options
 from metapp.runs.reporter import Reporter, use_reporter
-from metapp.storage.fit_records import FitRecord, Settings
-from metapp.storage.fit_store import FitStore, read_params
+from metapp.runs.spec import parse_fit_options
+from metapp.storage.fit_folders import read_params
 from metapp.storage.shards import write_data_set
+from tests.kept_fits import fit_of, write_fit
 from tests.marked import long
 from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, presenter_of
 
@@ -79,9 +78,9 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 @pytest.fixture
 def subject_of(data: Callable[[str], Path], tmp_path: Path, second_scene: Path) -> Callable[[str, str], EvaluationRun]:
     def make(name: str, protocol: str) -> EvaluationRun:
-        of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
-        planned = find_and_choose(fit_options(name, "general", **of_app, device="cpu", quiet=True))
-        subject = EvaluationRun(planned, is_measuring=False)  # paradigms may lack what their checkpoints need
+        of_app: dict[str, Any] = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
+        planned = parse_fit_options(name, "general", **of_app, device="cpu", quiet=True)
+        subject = EvaluationRun(*planned, is_measuring=False)  # paradigms may lack what their checkpoints need
         subject.is_measuring = True
         return subject
 
@@ -111,10 +110,10 @@ def test_predictions_of_baselines_are_drawn_where_applications_have_pictures(
 
 
 def pretend_paradigms(subject: EvaluationRun, error: float = 1.0) -> None:
-    """Records of Meta that cost nothing, and none of other paradigms."""
-    records = [FitRecord(name=task.name, error=error, seconds=1.0, threads=1) for task in subject.tasks]
-    for name in subject.choices:
-        subject.requested[name] = subject.tasks, records if name == "meta" else []
+    """Fits by Meta that cost nothing, and none of other paradigms."""
+    fits = [fit_of(task.name, task.name, error, seconds=1.0, threads=1) for task in subject.tasks]
+    for name in subject.specs:
+        subject.requested[name] = subject.tasks, fits if name == "meta" else []
 
 
 def rows_of(subject: EvaluationRun) -> dict[str, dict[str, Any]]:
@@ -157,17 +156,17 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
 ) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    fits = FitStore(subject.choice.options.out / "meta", Settings.of({"of": "meta"}))
+    spec, run = subject.specs["meta"], subject.options.out / "meta"
     pretend_paradigms(subject)
-    records = [fits.write(FitRecord(name=task.name, error=1.0), theta) for task in subject.tasks]
-    subject.requested["meta"] = subject.tasks, records
+    fits = [write_fit(run, fit_of(task.name, task.name, 1.0, spec), theta) for task in subject.tasks]
+    subject.requested["meta"] = subject.tasks, fits
     assert subject.draw_fits("baselines", {}) is None
     table = subject.table("baselines")
     assert list(table.fits) == ["meta", "nearest", "quilting", "blending"]
     drawn = subject.draw_fits("baselines", table.fits)
-    assert drawn == subject.choice.options.out / "texture" / f"baselines-{subject.label}-quick.png"
+    assert drawn == subject.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     assert drawn.read_bytes().startswith(b"\x89PNG")
-    kept = subject.choice.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
+    kept = subject.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
     assert read_params(kept)["picture"].shape == (64, 64, 3)
 
 
@@ -182,10 +181,12 @@ def test_notes_name_the_method_with_the_lower_error(
     pretend_paradigms(subject)
     meta, other = [], []
     for i, task in enumerate(subject.tasks):
-        meta.append(FitRecord(name=task.name, error=1.0 + i, seconds=1.0, folder=str(tmp_path)))
+        meta.append(fit_of(task.name, task.name, 1.0 + i, seconds=1.0))
+        meta[-1].place = tmp_path
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
         figures = {"numbers": 1, "kept_bytes": 4, "shared": 8}
         other.append(structs.replace(meta[-1], error=error, seconds=0.5, figures=figures))
+        other[-1].place = tmp_path
     subject.requested |= {
         "meta": (subject.tasks, meta),
         baselines_of(application(subject.app.name), subject.app)[0].name: (subject.tasks, other),
@@ -201,15 +202,15 @@ def test_measures_that_are_not_finite_have_no_figure(
     subject = subject_of("illumination", "reference")
     measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
-    records = baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0])
-    assert {record.error for record in records} == {2.0 * subject.app.error_measure.scale}
-    assert not any("map" in record.errors for record in records)
+    fits = baseline_fits(subject, baselines_of(application(subject.app.name), subject.app)[0])
+    assert {fit.error for fit in fits} == {2.0 * subject.app.error_measure.scale}
+    assert not any("map" in fit.further_errors for fit in fits)
 
 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], EvaluationRun]) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject, 5.0)
-    baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0])
+    baseline_fits(subject, baselines_of(application(subject.app.name), subject.app)[0])
     subject.is_measuring = False
     drawn = draw_figure("plane", subject)
     assert drawn
@@ -229,7 +230,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
     with use_reporter(Heard()):
-        assert baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0]) == []
+        assert baseline_fits(subject, baselines_of(application(subject.app.name), subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
     subject.is_measuring = False
     assert rows_of(subject)["pca_20"]["tasks"] == 0
@@ -239,11 +240,11 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject_of: Callable[[str, str], EvaluationRun], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
-    manifest = subject.choice.options.data / "manifest.json"  # type: ignore[operator]
+    manifest = subject.options.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     pretend_paradigms(subject)
     notes = subject.table("baselines").notes
-    assert subject.requested.keys() - subject.choices.keys() == {"ggx_2"}  # nothing is missing
+    assert subject.requested.keys() - subject.specs.keys() == {"ggx_2"}  # nothing is missing
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 

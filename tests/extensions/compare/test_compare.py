@@ -9,7 +9,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fit_store import read_fit_records, write_fit
+from metapp.runs.stored_fits import read_fits
+from tests.kept_fits import fit_of, spec_with, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3
@@ -22,7 +23,7 @@ def test_runs_are_compared_with_the_first(metapp: Callable, fit_networks: Callab
     assert [run["label"] for run in result["runs"]] == ["meta", "quickft", "general"]
     base, *others = result["runs"]
     for side, run in enumerate(runs):
-        errors = [record.error for record in read_fit_records(run)]
+        errors = [fit.error for fit in read_fits(run)]
         assert [task["error"][side] for task in result["tasks"]] == errors
         assert result["runs"][side]["error"] == pytest.approx(np.mean(errors))
         assert [len(task["seconds"]) for task in result["tasks"]] == [3, 3, 3]
@@ -88,9 +89,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(
 ) -> None:
     run = fit_networks("general")
     alone = run / "m0"
-    record = read_fit_records(run)[0]
-    record.settings.app = "texture"
-    write_fit(Path("other"), record)
+    write_fit(Path("other"), fit_of("m0", spec=spec_with(app="texture")))
     for words, message in (
         ((run, "other"), "runs of brdf and texture, expected runs of one application; take another run."),
         ((run, "nowhere"), "nowhere: no such folder, expected a run's folder"),

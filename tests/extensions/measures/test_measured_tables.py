@@ -15,8 +15,8 @@ from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import WITHOUT_VARIABLE
-from metapp.storage.fit_records import FitRecord
 from tests.extensions.measures.test_measures import needs_weights
+from tests.kept_fits import fit_of
 from tests.paradigms.small import NETWORK_KINDS
 from tests.recipe_apps import presenter_of
 
@@ -44,14 +44,14 @@ def printed(app: App, sources: list[Task]) -> tuple[set[str], str]:
     batch = app.init(Generator().manual_seed(1), 1) | app.task_parameters(stack_tasks(app, [task]))
     theta = {key: value[0] for key, value in batch.items()}
     measures = measure_pictures(presenter_of(app), {"meta": TimedFit(theta, 0.1)}, task)
-    records = [FitRecord(name=task.name, error=None, figures={"measures": measures})]
+    records = [fit_of(name=task.name, error=None, figures={"measures": measures})]
     subject: Any = SimpleNamespace(
         app=app,
         presenter=presenter_of(app),
         title=presenter_of(app).title,
         tasks=[task],
         groups={task.name: task.name},
-        choices={},
+        specs={},
         fitters={},
         is_of_subset=lambda name: False,
         has_paper_figures=True,

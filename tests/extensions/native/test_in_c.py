@@ -34,7 +34,7 @@ from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
-from metapp.paradigms import paradigm
+from metapp.paradigms.methods import fastest_steps
 from metapp.runs.reporter import Reporter, use_reporter
 from tests.learning.conftest import randn
 from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
@@ -260,11 +260,11 @@ def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pyt
 
 
 def test_steps_are_those_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
-    offered = paradigm.fastest_steps(compiles=True)
+    offered = fastest_steps(compiles=True)
     assert isinstance(offered, functools.partial)
     assert (offered.func, offered.keywords) == (fastest, {"compiles": True})
     monkeypatch.setenv("METAPP_WITHOUT", "native")
-    assert paradigm.fastest_steps(compiles=True) is torch_steps
+    assert fastest_steps(compiles=True) is torch_steps
 
 
 @pytest.mark.long

@@ -13,15 +13,14 @@ from metapp.apps.brdf.nbrdf_network import Nbrdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import meta_sgd
 from metapp.extensions.native.compiler import find_compiler
-from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, Steps, UpdateRule, torch_steps
+from metapp.learning.app import App
 from metapp.learning.learn import DescentState, MetaParameters, descend, final_item
 from metapp.learning.recipe import MetaTraining
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.adam import General
-from metapp.paradigms.meta import Meta
 from metapp.paradigms.training import train_phi
+from metapp.paradigms.trainings import Training, general_training, rule_training
 
 EPS = torch.finfo(torch.float32).eps
 # Adam moves each weight by up to the rate, whatever the gradient's size, so that a step of one loop rounds to another
@@ -52,22 +51,26 @@ def tasks() -> Tasks:
     return Tasks(names, {"where": where, "target": torch.rand(6, 300, 3, generator=rng)}, torch.tensor([5, 1, 2, 3, 0]))
 
 
-def meta_of(training: MetaTraining, app: Brdf | None = None) -> Meta:
-    """Return Meta-SGD by the paper's recipe with other settings of the outer loop, of 4 inner steps of 64 samples."""
-    recipe = replace(RECIPES["paper"], steps=4, samples=64, meta={"meta-sgd": training})
-    return Meta.of(app or recipe.app, recipe)
+def training_of(outer_loop: MetaTraining, app: App | None = None, rule: str = "") -> Training:
+    """Return the training of Meta-SGD by the paper's recipe with another outer loop, of 4 inner steps of 64 samples."""
+    recipe = replace(RECIPES["paper"], steps=4, samples=64, meta={"meta-sgd": outer_loop})
+    return rule_training(app or recipe.app, recipe, rule)
 
 
-def first_phi(meta: Meta, tasks: Tasks) -> Params:
-    return meta.trainings[0].first_phi(None, tasks, Generator().manual_seed(1)).flatten()
+def first_phi(training: Training, tasks: Tasks) -> Params:
+    return training.first_phi(None, tasks, Generator().manual_seed(1)).flatten()
 
 
-def descend_by(make_steps: Callable, meta: Meta, tasks: Tasks) -> list[DescentState]:
+def outer_loss_of(training: Training, phi: Params) -> Loss:
+    assert training.outer_loss is not None
+    return training.outer_loss(MetaParameters.unflatten(phi))
+
+
+def descend_by(make_steps: Callable, training: Training, tasks: Tasks) -> list[DescentState]:
     """Descend the outer loss by steps of torch or of C."""
-    (checkpoint_training,) = meta.trainings
-    training, phi, rng = checkpoint_training.outer_loop, first_phi(meta, tasks), Generator().manual_seed(2)
-    loss, rule = checkpoint_training.outer_loss(MetaParameters.unflatten(phi)), outer_adam(training, phi)
-    return list(descend(phi, rule, tasks, loss, steps=training.steps, rng=rng, make_steps=make_steps))
+    phi, rng, outer_loop = first_phi(training, tasks), Generator().manual_seed(2), training.outer_loop
+    loss, rule = outer_loss_of(training, phi), outer_adam(outer_loop, phi)
+    return list(descend(phi, rule, tasks, loss, steps=outer_loop.steps, rng=rng, make_steps=make_steps))
 
 
 def steps_in_c(rule: UpdateRule, loss: Loss, phi: Params, order: int) -> Steps:
@@ -97,9 +100,9 @@ def assert_near(found: Params, expected: Params) -> None:
     ids=["published", "several tasks", "smoothed", "first order", "clipped", "more tasks than there are"],
 )
 def test_phi_is_that_of_steps_in_torch(changes: dict[str, float], tasks: Tasks) -> None:
-    training: MetaTraining = replace(TRAINING, **changes)  # type: ignore[arg-type]
-    meta = meta_of(training)
-    expected_states, states = (descend_by(make_steps, meta, tasks) for make_steps in (torch_steps, steps_in_c))
+    outer_loop: MetaTraining = replace(TRAINING, **changes)  # type: ignore[arg-type]
+    training = training_of(outer_loop)
+    expected_states, states = (descend_by(make_steps, training, tasks) for make_steps in (torch_steps, steps_in_c))
     first = states[0].theta["theta.w2"]
     for state, expected in zip(states, expected_states, strict=True):
         assert_near(state.theta, expected.theta)
@@ -116,20 +119,20 @@ def test_other_instructions_give_the_same_phi(march: str, tasks: Tasks, monkeypa
     library = meta_sgd.load_meta_sgd_library(march)
     if library is None or (march == "x86-64-v3" and torch.backends.cpu.get_cpu_capability() not in ("AVX2", "AVX512")):
         pytest.skip(f"this machine does not run {march}")
-    meta = meta_of(TRAINING)
-    expected = descend_by(steps_in_c, meta, tasks)[-1].theta
+    training = training_of(TRAINING)
+    expected = descend_by(steps_in_c, training, tasks)[-1].theta
     monkeypatch.setattr(meta_sgd, "load_meta_sgd_library", lambda: library)
-    assert_near(descend_by(steps_in_c, meta, tasks)[-1].theta, expected)
+    assert_near(descend_by(steps_in_c, training, tasks)[-1].theta, expected)
 
 
 @needs_compiler
 def test_trainings_take_steps_in_c(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
     """A training has the same losses and validation errors by steps in C and in torch."""
-    meta = meta_of(TRAINING)
+    training = training_of(TRAINING)
     calls: list[int] = []
-    in_c = final_item(train_phi(meta.trainings[0], tasks, Generator().manual_seed(3)))
+    in_c = final_item(train_phi(training, tasks, Generator().manual_seed(3)))
     monkeypatch.setattr(meta_sgd, "load_meta_sgd_library", lambda: calls.append(1))  # None: there is no compiler
-    in_torch = final_item(train_phi(meta.trainings[0], tasks, Generator().manual_seed(3)))
+    in_torch = final_item(train_phi(training, tasks, Generator().manual_seed(3)))
     assert calls == [1]
     assert in_c.best_step == in_torch.best_step
     assert_near(in_c.best, in_torch.best)
@@ -142,31 +145,30 @@ def test_a_loss_that_is_not_finite_is_returned(tasks: Tasks) -> None:
     target = tasks.data["target"].clone()
     target[2] = float("nan")
     tasks = replace(tasks, data={**tasks.data, "target": target})
-    states = descend_by(steps_in_c, meta_of(TRAINING), tasks)
+    states = descend_by(steps_in_c, training_of(TRAINING), tasks)
     (first,) = next(state.names for state in states if state.loss is not None and not state.loss.isfinite().all())
     assert first == "c"
 
 
 @needs_compiler
 def test_trainings_that_c_lacks_are_left_to_torch(tasks: Tasks) -> None:
-    def has_steps(meta: Meta, training: MetaTraining = TRAINING, changes: Params | None = None) -> bool:
-        (checkpoint_training,) = meta.trainings
-        phi = first_phi(meta, tasks) | (changes or {})
-        loss = checkpoint_training.outer_loss(MetaParameters.unflatten(phi))
-        return meta_sgd.make_outer_steps(outer_adam(training, phi), loss, phi) is not None
+    def has_steps(training: Training, outer_loop: MetaTraining = TRAINING, changes: Params | None = None) -> bool:
+        phi = first_phi(training, tasks) | (changes or {})
+        loss = outer_loss_of(training, phi)
+        return meta_sgd.make_outer_steps(outer_adam(outer_loop, phi), loss, phi) is not None
 
-    meta = meta_of(TRAINING)
-    assert has_steps(meta)
+    training = training_of(TRAINING)
+    assert has_steps(training)
     ridge_app = RECIPES["quick"].training("ridge").app
     assert ridge_app is not None
-    double = {key: value.double() for key, value in first_phi(meta, tasks).items()}
-    assert not has_steps(meta_of(TRAINING, OwnLoss(Nbrdf(bound=0.05))))
-    assert not has_steps(Meta(ridge_app, meta.recipe, 4, meta.learned_rule))
-    assert not has_steps(Meta(meta.app, meta.recipe, 4, rule_of("meta-sgd-loss")))
-    assert not has_steps(meta, replace(TRAINING, rates={"": 1e-3, "alpha.": 1e-4}))
-    assert not has_steps(meta, changes={"encoder.w": torch.zeros(1)})
-    assert not has_steps(meta, changes=double)
-    general = General.of(meta.app, meta.recipe).trainings[0]
-    encoder = general.first_phi(None, tasks, Generator())
-    loss, rule = general.outer_loss(encoder), outer_adam(general.outer_loop, encoder.flatten())
-    assert meta_sgd.make_outer_steps(rule, loss, encoder.flatten()) is None
+    double = {key: value.double() for key, value in first_phi(training, tasks).items()}
+    assert not has_steps(training_of(TRAINING, OwnLoss(Nbrdf(bound=0.05))))
+    assert not has_steps(training_of(TRAINING, ridge_app))
+    assert not has_steps(training_of(TRAINING, rule="meta-sgd-loss"))
+    assert not has_steps(training, replace(TRAINING, rates={"": 1e-3, "alpha.": 1e-4}))
+    assert not has_steps(training, changes={"encoder.w": torch.zeros(1)})
+    assert not has_steps(training, changes=double)
+    general = general_training(training.app, RECIPES["paper"])
+    encoder = general.first_phi(None, tasks, Generator()).flatten()
+    loss, rule = outer_loss_of(general, encoder), outer_adam(general.outer_loop, encoder)
+    assert meta_sgd.make_outer_steps(rule, loss, encoder) is None

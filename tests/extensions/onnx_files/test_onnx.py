@@ -85,13 +85,14 @@ def test_onnx_maps_agree_with_general(tmp_path: Path, metapp: Callable) -> None:
 
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
-    from metapp.runs.checkpoint_selection import find_checkpoint
-    from metapp.runs.choice import find_and_choose
-    from metapp.runs.fit_options import fit_options
+    from metapp.runs.fitting import Fitter
+    from metapp.runs.resolve import complete
+    from metapp.runs.spec import Spec
 
-    found = find_and_choose(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo"))
+    spec = complete(Spec(app="svbrdf_nonstationary", paradigm="general", recipe="full", observe="photo", device="cpu"))
+    fitter = Fitter.of(spec)
     with torch.no_grad():
-        result: tuple[Tensor, ...] = photographs.MaterialModule(found.app, find_checkpoint(found).phi.encoder)(photo)
+        result: tuple[Tensor, ...] = photographs.MaterialModule(fitter.app, fitter.phi.encoder)(photo)
     return result
 
 

@@ -16,7 +16,7 @@ from data_tools.readers.measured_pairs import MeasuredPairs, task_of_pairs
 from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.plan.planned_pairs import MAX_PLANNED_FROM
-from metapp.storage.fit_store import read_fit_records
+from metapp.runs.stored_fits import read_fits
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -47,12 +47,12 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     again = metapp("plan", "brdf", "--samples", 12, "--out", file)
     assert "is there already, expected a new file; add --overwrite" in again.misuse
     fitted = metapp("meta", "brdf", file, "--json")
-    assert "recipe few, since every input has 200 samples or fewer" in fitted.err
+    assert "recipe few, as the input has 200 samples or fewer" in fitted.err
     assert "all 12 samples are fitted, none is held out" in fitted.err
     run = Path(fitted.json_document["out"])
     assert fitted.json_document["error"] < 0.5
-    (record,) = read_fit_records(run)
-    assert 0 < record.errors["expected"] < expected["before"]
+    (fit,) = read_fits(run)
+    assert 0 < (fit.further_errors["expected"] or 0) < expected["before"]
     more = tmp_path / "more.csv"  # its first rows are those that were measured
     then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").json_document
     assert then["expected_error"]["after"] < then["expected_error"]["before"]

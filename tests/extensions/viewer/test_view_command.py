@@ -19,7 +19,7 @@ from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs import api
-from metapp.runs.inputs.run_inputs import Input
+from metapp.runs.inputs.finding import Input
 from metapp.storage.files import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -117,7 +117,7 @@ def test_one_task_reads_its_own_input_alone(
 ) -> None:
     run, read = fit_networks("meta"), list[str]()
     task = Input.read_task
-    monkeypatch.setattr(Input, "read_task", lambda self: read.append(Path(self.place).name) or task(self))
+    monkeypatch.setattr(Input, "read_task", lambda self, *by: read.append(Path(self.place).name) or task(self, *by))
     metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
     metapp("view", run, "--no-open", "--out", "q.html", "--most", "1")
     assert read == ["m1", "m0"]
@@ -216,9 +216,9 @@ def test_without_the_extension_fits_work_and_view_is_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    assert make_view(fit.choice.presenter, fit.parameters, fit.task).kind == "brdf"
+    assert make_view(fit.presenter, fit.parameters, fit.task).kind == "brdf"
     monkeypatch.setitem(vars(registry().applications["brdf"]), "page", None)
-    view = make_view(fit.choice.presenter, fit.parameters, fit.task)
+    view = make_view(fit.presenter, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 
