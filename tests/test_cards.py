@@ -1,4 +1,4 @@
-"""Cards of checkpoints: each file has a row, and the tasks that trained it are drawn today as they were then."""
+"""Cards of checkpoints: each entry has a row, and the tasks that trained it are drawn today as they were then."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from tests.training_sets import (
     ROOT,
     SetRow,
     cards,
-    file_rows,
+    entry_rows,
     read_summary,
     set_rows,
     stated_data,
@@ -21,21 +21,28 @@ QUICK_SETS = ("metapp data synth texture", "metapp data synth svbrdf_nonstationa
 SETS = sorted({row for card in cards() for row in set_rows(card)})
 
 
-def test_each_checkpoint_is_in_one_card() -> None:
-    listed = [card.parent / row.file for card in cards() for row in file_rows(card)]
-    assert sorted(listed) == sorted((ROOT / "metapp").rglob("*.safetensors"))
+def place_of(card: Path, entry: str) -> tuple[Path, str]:
+    """Return the file without suffix, and the name, of an entry that a card calls by both, such as `quick/general`."""
+    file, name = entry.split("/")
+    return card.parent / file, name
 
 
-@pytest.mark.parametrize("card", cards(), ids=lambda card: "-".join(card.parts[-3:-1]))
-def test_a_card_states_data_commit_and_command_of_each_file(card: Path) -> None:
+def test_each_entry_is_in_one_card() -> None:
+    listed = [place_of(card, row.entry) for card in cards() for row in entry_rows(card)]
+    assert sorted(listed) == sorted(stated_data(ROOT / "metapp"))
+
+
+@pytest.mark.parametrize("card", cards(), ids=lambda card: f"{card.parent.name}-{card.stem}")
+def test_a_card_states_data_commit_and_command_of_each_entry(card: Path) -> None:
+    data_by_place = stated_data(card.parent)
     known_sets = {row.name for row in set_rows(card)}
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    for row in file_rows(card):
-        assert row.data == stated_data(card.parent / row.file), row.file
-        assert re.fullmatch(r"[0-9a-f]{8}", row.commit), row.file
-        assert row.sets == [NO_SET] or (row.sets and set(row.sets) <= known_sets), row.file
-        assert all(target in targets for target in re.findall(r"make ([a-z-]+)", row.command)), row.file
-    assert known_sets == {name for row in file_rows(card) for name in row.sets} - {NO_SET}
+    for row in entry_rows(card):
+        assert row.data == data_by_place[place_of(card, row.entry)], row.entry
+        assert re.fullmatch(r"[0-9a-f]{8}", row.commit), row.entry
+        assert row.sets == [NO_SET] or (row.sets and set(row.sets) <= known_sets), row.entry
+        assert all(target in targets for target in re.findall(r"make ([a-z-]+)", row.command)), row.entry
+    assert known_sets == {name for row in entry_rows(card) for name in row.sets} - {NO_SET}
 
 
 @pytest.mark.parametrize(

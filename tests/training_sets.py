@@ -2,37 +2,37 @@
 
     python -m tests.training_sets        # prints the table of drawn tasks of each card
 
-A card has two tables. Each file has a row: the data that its header names, the first commit that held these weights,
-the command that makes it, and the sets of drawn tasks among its training tasks. Each set has a row: the command that
-draws it, and the mean and the standard deviation of each tensor over its first training tasks. These numbers change
-with any change of the draws, but hardly with the processor, with which a digest of the bytes would change.
+A card has two tables. Each entry of a checkpoint has a row, such as `quick/general`: the data that its description
+names, the first commit that held these weights, the command that makes it, and the sets of drawn tasks among its
+training tasks. Each set has a row: the command that draws it, and the mean and the standard deviation of each tensor
+over its first training tasks. These numbers change with any change of the draws, but hardly with the processor, with
+which a digest of the bytes would change.
 """
 
 import itertools
-import json
 import re
 import shlex
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from safetensors import safe_open
+from metapp.storage.checkpoint_files import read_headers
 
 ROOT = Path(__file__).parent.parent
 FOLDERS = [ROOT / "metapp/checkpoints", ROOT / "metapp/extensions"]
-FILE_COLUMNS = ["file", "data", "first commit", "made by", "drawn tasks"]
+ENTRY_COLUMNS = ["entry", "data", "first commit", "made by", "drawn tasks"]
 SET_COLUMNS = ["drawn tasks", "command", "tensor: mean, standard deviation over the first tasks"]
 FIRST_TASKS = (
     3  # tasks that are drawn of a set without families, of BRDFs and of large pictures, which take seconds each
 )
-NO_SET = "none"  # the entry of a file that no drawn task trained
+NO_SET = "none"  # stands in the row of an entry that no drawn task trained
 OMITTED = ("scene",)  # tensors that hold text
 
 
-class FileRow(NamedTuple):
-    """What a card states of a file; `sets` are the names of its sets of drawn tasks."""
+class EntryRow(NamedTuple):
+    """What a card states of an entry of a checkpoint; `sets` are the names of its sets of drawn tasks."""
 
-    file: str
+    entry: str
     data: str
     commit: str
     command: str
@@ -65,13 +65,13 @@ def read_table(text: str, columns: list[str]) -> list[list[str]]:
 
 def cards() -> list[Path]:
     """Return the pages that state how checkpoints were made."""
-    return sorted(path for folder in FOLDERS for path in folder.rglob("README.md") if "checkpoints" in path.parts)
+    return sorted(path for folder in FOLDERS for path in folder.rglob("*.md") if "checkpoints" in path.parts)
 
 
-def file_rows(card: Path) -> list[FileRow]:
-    """Return the rows of a card's files."""
+def entry_rows(card: Path) -> list[EntryRow]:
+    """Return the rows of a card's entries."""
     return [
-        FileRow(*cells[:4], re.findall(r"[^,\s`]+", cells[4])) for cells in read_table(card.read_text(), FILE_COLUMNS)
+        EntryRow(*cells[:4], re.findall(r"[^,\s`]+", cells[4])) for cells in read_table(card.read_text(), ENTRY_COLUMNS)
     ]
 
 
@@ -80,11 +80,15 @@ def set_rows(card: Path) -> list[SetRow]:
     return [SetRow(*cells) for cells in read_table(card.read_text(), SET_COLUMNS)]
 
 
-def stated_data(checkpoint: Path) -> str:
-    """Return what the header of a checkpoint calls the data that it was trained on."""
-    with safe_open(checkpoint, "pt") as file:
-        header = file.metadata()
-    return str((json.loads(header["metapp"]) if "metapp" in header else header).get("data"))
+def stated_data(folder: Path) -> dict[tuple[Path, str], str]:
+    """Return what the description of each entry of all checkpoints calls the data that it was trained on.
+
+    Returns:
+        The data by the file's path without suffix, and the entry's name.
+    """
+    paths = sorted(folder.rglob("*.safetensors"))
+    headers = {(path.with_suffix(""), entry): header for path in paths for entry, header in read_headers(path).items()}
+    return {place: str(header.get("data")) for place, header in headers.items()}
 
 
 def summarise_draws(command: str) -> str:

@@ -7,13 +7,12 @@ set -euo pipefail
 metapp=$1 runs=$2 app=$3
 common=("$app" --recipe quick --out "$runs" --train)
 "$metapp" general "${common[@]}"
-folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
-general=(--checkpoint "$folder/general.safetensors")
+trained=$(ls -t "$runs/$app"/checkpoints/"$app"-*-quick-seed0.safetensors | head -1)
 for observe in reference photo; do
-  "$metapp" quickft "${common[@]}" "${general[@]}" --observe "$observe"
-  "$metapp" meta "${common[@]}" "${general[@]}" --observe "$observe"
+  "$metapp" quickft "${common[@]}" --checkpoint "$trained" --observe "$observe"
+  "$metapp" meta "${common[@]}" --checkpoint "$trained" --observe "$observe"
 done
-"$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
+"$(dirname "$metapp")/python" tools/ship.py "$trained" "metapp/checkpoints/$app/quick.safetensors"
 
 if [ "$app" = svbrdf_nonstationary ]; then
   data=$runs/data/drawn-512px
@@ -21,6 +20,6 @@ if [ "$app" = svbrdf_nonstationary ]; then
   for paradigm in general quickft meta; do
     "$metapp" "$paradigm" "$app" --recipe full --observe photo --data "$data" --out "$runs" --train
   done
-  folder=$(ls -td "$runs/$app"/checkpoints/drawn-512px-*-full-seed0 | head -1)
-  "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app/full"
+  trained=$(ls -t "$runs/$app"/checkpoints/drawn-512px-*-full-seed0.safetensors | head -1)
+  "$(dirname "$metapp")/python" tools/ship.py "$trained" "metapp/checkpoints/$app/full.safetensors"
 fi

@@ -5,10 +5,8 @@ metapp=$1 runs=$2
 app=transport
 common=("$app" --recipe quick --out "$runs" --train)
 "$metapp" general "${common[@]}"
-folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
+trained=$(ls -t "$runs/$app"/checkpoints/"$app"-*-quick-seed0.safetensors | head -1)
 for paradigm in quickft meta; do
-  "$metapp" "$paradigm" "${common[@]}" --checkpoint "$folder/general.safetensors"
+  "$metapp" "$paradigm" "${common[@]}" --checkpoint "$trained"
 done
-mkdir -p "metapp/checkpoints/$app"
-find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' ! -name '*.training.*' \
-  -exec cp -v {} "metapp/checkpoints/$app/" \;
+"$(dirname "$metapp")/python" tools/ship.py "$trained" "metapp/checkpoints/$app/quick.safetensors"

@@ -8,9 +8,9 @@ shift 2
 for app in "$@"; do
   common=("$app" --recipe paper --train --out "$runs")
   "$metapp" general "${common[@]}"
-  folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-paper-seed0 | head -1)
-  "$metapp" quickft "${common[@]}" --checkpoint "$folder/general.safetensors"
+  trained=$(ls -t "$runs/$app"/checkpoints/"$app"-*-paper-seed0.safetensors | head -1)
+  "$metapp" quickft "${common[@]}" --checkpoint "$trained"
   "$metapp" meta "${common[@]}"
-  "$metapp" evaluate "$app" --checkpoint "$folder" --recipe paper --whole --observe reference --which all --out "$runs" \
+  "$metapp" evaluate "$app" --checkpoint "$trained" --recipe paper --whole --observe reference --which all --out "$runs" \
     --figures "$runs/figures/$app" --report "$runs/report/$app" --overwrite
 done

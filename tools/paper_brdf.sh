@@ -10,14 +10,14 @@ fits="$runs/data/nbrdf-merl"
 for paradigm in general quickft meta; do
   "$metapp" "$paradigm" brdf --recipe "$recipe" --data "$fits" --train --out "$runs"
 done
-folder=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-"$recipe"-seed0 | head -1)
-"$(dirname "$metapp")/python" tools/training_curves.py "$runs/figures/$recipe-brdf.png" "$folder/meta-sgd.safetensors"
+trained=$(ls -t "$runs"/brdf/checkpoints/nbrdf-merl-*-"$recipe"-seed0.safetensors | head -1)
+"$(dirname "$metapp")/python" tools/training_curves.py "$runs/figures/$recipe-brdf.png" "$trained:meta-sgd"
 for table in results quickft; do
-  "$metapp" evaluate brdf --recipe "$recipe" --data "$fits" --checkpoint "$folder" --whole --which "$table" --out "$runs"
+  "$metapp" evaluate brdf --recipe "$recipe" --data "$fits" --checkpoint "$trained" --whole --which "$table" --out "$runs"
 done
 # the embedded test materials differ in kind from the training materials
 for paradigm in general overfit finetune quickft meta; do
-  checkpoint=(--checkpoint "$folder")
+  checkpoint=(--checkpoint "$trained")
   [ "$paradigm" = overfit ] && checkpoint=()
   "$metapp" "$paradigm" brdf --recipe "$recipe" "${checkpoint[@]}" --out "$runs"
 done

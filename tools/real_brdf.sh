@@ -15,6 +15,6 @@ for seed in "$@"; do
   for rule in meta-sgd meta-curvature; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
-  trained=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-quick-seed"$seed" | head -1)
+  trained=$(ls -t "$runs"/brdf/checkpoints/nbrdf-merl-*-quick-seed"$seed".safetensors | head -1)
   "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --whole
 done

@@ -16,7 +16,7 @@ for seed in "$@"; do
     "$metapp" general "${common[@]}" --train --quiet
     "$metapp" quickft "${common[@]}" --train --quiet
     "$metapp" meta "${common[@]}" --train --quiet
-    trained=$(ls -td "$runs/${pair%:*}"/checkpoints/"${pair#*:}"-*-quick-seed"$seed" | head -1)
+    trained=$(ls -t "$runs/${pair%:*}"/checkpoints/"${pair#*:}"-*-quick-seed"$seed".safetensors | head -1)
     "$metapp" evaluate "${common[@]}" --checkpoint "$trained" --whole
   done
 done

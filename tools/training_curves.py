@@ -1,6 +1,6 @@
-"""Draw the validation error of trainings over outer steps: training_curves.py PICTURE CHECKPOINT...
+"""Draw the validation error of trainings over outer steps: training_curves.py PICTURE FILE:ENTRY...
 
-Each checkpoint gets a panel with logarithmic axes, drawn from the checkpoint's header. A broken line continues the
+Each entry of a checkpoint gets a panel with logarithmic axes, drawn from its description. A broken line continues the
 curve to the recipe's number of steps: the least-squares line, in these axes, of the curve's second half.
 """
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from metapp.evaluation.style import FIGURE_STYLE, PARADIGM_COLOURS, save_figure
-from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.checkpoint_files import read_headers
 
 
 def extrapolate_errors(
@@ -36,7 +36,7 @@ def extrapolate_errors(
     return np.exp(level + slope * np.log(wanted_steps))
 
 
-def draw_panel(axes: Axes, path: Path, info: dict[str, Any]) -> None:
+def draw_panel(axes: Axes, entry: str, info: dict[str, Any]) -> None:
     """Draw the validation curve of one checkpoint and its extrapolation, and print both last errors."""
     curve = np.array([(step, error) for step, _, error in info["curve"][1:]])
     steps, errors, planned = curve[:, 0], np.minimum.accumulate(curve[:, 1]), info["training"]["steps"]
@@ -44,7 +44,7 @@ def draw_panel(axes: Axes, path: Path, info: dict[str, Any]) -> None:
     axes.plot(steps, errors, color=PARADIGM_COLOURS["meta"])
     title = f"{info['app']}, seed {info['seed']}\n{info['checkpoint']}, {info['recipe']}"
     axes.set(xscale="log", xlabel="outer steps", title=title)
-    summary = f"{path}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
+    summary = f"{entry}: {errors[-1]:.3f} after {steps[-1]:,.0f} steps"
     if steps[-1] < planned and errors.min() > 0:
         planned_steps = np.geomspace(steps[-1], planned, 20)
         axes.plot(planned_steps, extrapolate_errors(steps, errors, planned_steps), "--", color=PARADIGM_COLOURS["meta"])
@@ -59,18 +59,19 @@ def draw_panel(axes: Axes, path: Path, info: dict[str, Any]) -> None:
     print(summary, file=sys.stderr)
 
 
-def main(picture: Path, *checkpoints: Path) -> None:
-    """Draw the curves of all checkpoints side by side."""
+def main(picture: str, *entries: str) -> None:
+    """Draw the curves of all entries side by side."""
     with rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(3.2 * len(checkpoints), 2.4))
-        infos = [load_checkpoint(path)[1] for path in checkpoints]
+        figure = Figure(figsize=(3.2 * len(entries), 2.4))
+        files_and_names = [entry.rpartition(":")[::2] for entry in entries]
+        infos = [read_headers(Path(file))[name] for file, name in files_and_names]
         is_one_app = len({info["app"] for info in infos}) == 1
         panels = figure.subplots(1, len(infos), squeeze=False, sharex=is_one_app, sharey=is_one_app)
-        for axes, path, info in zip(panels[0], checkpoints, infos, strict=True):
-            draw_panel(axes, path, info)
+        for axes, entry, info in zip(panels[0], entries, infos, strict=True):
+            draw_panel(axes, entry, info)
         panels[0, 0].set_ylabel("validation error")
-        save_figure(figure, picture)
+        save_figure(figure, Path(picture))
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    main(*sys.argv[1:])

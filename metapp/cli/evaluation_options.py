@@ -44,7 +44,7 @@ class EvaluateOptions:
     ] = ""
     data: Annotated[Path | None, Option("Folder of a data set; default: the embedded data set.")] = None
     checkpoint: Annotated[
-        Path | None, Option("Folder of trained checkpoints of one APP; default: those that ship.", "DIR")
+        Path | None, Option("File of trained checkpoints of one APP; default: those that ship.", "FILE")
     ] = None
     out: Annotated[Path, Option("Folder of the table's runs, which a repeated command goes on with.")] = Path(
         "runs/evaluate"

@@ -157,11 +157,11 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
         ValueError: a checkpoint of a named application is missing.
     """
     names = apps or sorted(registry().applications)
-    if options.checkpoint and not (len(names) == 1 and options.checkpoint.is_dir()):
-        found = f"{len(names)} applications" if options.checkpoint.is_dir() else "no folder"
+    if options.checkpoint and not (len(names) == 1 and options.checkpoint.is_file()):
+        found = f"{len(names)} applications" if options.checkpoint.is_file() else "no file"
         raise typer.BadParameter(
-            f"--checkpoint {options.checkpoint}: {found}, expected one APP and the folder of its trained checkpoints, "
-            "such as runs/brdf/checkpoints/..."
+            f"--checkpoint {options.checkpoint}: {found}, expected one APP and the file of its trained checkpoints, "
+            "such as runs/brdf/checkpoints/....safetensors"
         )
     applications = [application_named(name) for name in names]
     for application in [application for application in applications if application.observations] or applications:

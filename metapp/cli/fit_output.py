@@ -136,7 +136,7 @@ def _introduction(fitters: Sequence[Fitter]) -> str:
     names = " and ".join(dict.fromkeys(fitter.app.full_name for fitter in fitters))
     steps = " or ".join(dict.fromkeys(str(fitter.method.steps) for fitter in fitters))
     different = {id(fitter): fitter for fitter in fitters}.values()
-    begins = " or ".join(dict.fromkeys(describe_checkpoint(*fitter[:3]) for fitter in different))
+    begins = " or ".join(dict.fromkeys(describe_checkpoint(fitter.spec) for fitter in different))
     size = fitters[0].presenter.size
     files = "; files of {:,} rows, {:,} columns".format(*size) if size else ""
     count = f"{len(fitters)} input{'s' * (len(fitters) != 1)}"

@@ -1,4 +1,4 @@
-"""The checkpoint that fits begin at: the one that --checkpoint names, else the one that ships with metapp.
+"""The entry of a checkpoint that fits begin at, in the file that --checkpoint names, else in one that ships.
 
 A file that anybody may have written is checked here, and nowhere else, before a fit begins at it: it must belong to the
 application, the paradigm or rule, what fits see, and the network. Training a checkpoint is
@@ -7,9 +7,9 @@ application, the paradigm or rule, what fits see, and the network. Training a ch
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from metapp.application import Application
 from metapp.learning.app import App
@@ -21,20 +21,32 @@ from metapp.paradigms import PARADIGMS
 from metapp.paradigms.trainings import QUICKFT_ADAM_SETTINGS, trainings_of
 from metapp.runs.data_sets.embedded import embedded_folders
 from metapp.runs.inputs.finding import FILES_LABEL, MEMORY_FORMAT, data_label
-from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
 from metapp.runs.spec import Spec
 from metapp.storage import Document
-from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
-from metapp.storage.files import file_digest
+from metapp.storage.checkpoint_files import read_entry, read_headers
 from metapp.storage.shipped_checkpoints import (
     FULL_RECIPE_NAME,
     QUICK_RECIPE_NAME,
-    checkpoint_folder,
     shipped_checkpoint_path,
+    usable_shipped_checkpoints,
 )
 
-GENERAL = "general"  # the name of the checkpoint that others may take their encoder from
+GENERAL = "general"  # the name of the training whose encoder others may begin at
+
+
+class Entry(NamedTuple):
+    """An entry of a checkpoint, before its tensors are read.
+
+    Attributes:
+        path: the file.
+        name: the name of the entry.
+        header: its description.
+    """
+
+    path: Path
+    name: str
+    header: Document
 
 
 def read_checkpoint(spec: Spec, app: App, recipe: Recipe) -> MetaParameters:
@@ -46,31 +58,31 @@ def read_checkpoint(spec: Spec, app: App, recipe: Recipe) -> MetaParameters:
     Raises:
         ValueError: there is no checkpoint, or it is one for another application, paradigm, observation or network.
     """
-    trainings, files = trainings_of(spec.paradigm, app, recipe, spec.rule), checkpoint_files(spec, app, recipe)
-    if not files:
+    trainings, entry = trainings_of(spec.paradigm, app, recipe, spec.rule), find_checkpoint(spec, app, recipe)
+    if not entry:
         return MetaParameters()
-    path, training = files[0], trainings[0]
-    phi, header = _load(path, spec, app)
-    _require_kind(path, spec, app, [training.name for training in trainings], phi, header)
-    tuned = load_checkpoint(files[-1])[0].alpha if len(files) > 1 else {}
-    if header.get("checkpoint") == "quickft" or tuned:
-        tuned = tuned or phi.alpha
-        _require_tuned_adam(files[-1], tuned)
-        phi = phi._replace(alpha={})
-    elif len(trainings) > 1:
-        observed = ["--observe", app.observes] if app.observes else []
-        command = shlex.join(["metapp", spec.paradigm, app.name, "--train", *observed])
-        say(
-            f"{spec.paradigm}: no Adam was tuned for this encoder, so that the recipe's Adam is used; tune one by "
-            f"{command}"
-        )
-    template = training.template(phi)
+    phi, _ = read_entry(entry.path, entry.name, spec.device)
+    if not phi.theta and not phi.encoder:  # the recipe has the network of another one, whose file holds General
+        general = find_entry(spec, app, [GENERAL])
+        phi = phi._replace(encoder=read_entry(general.path, general.name, spec.device)[0].encoder)
+    _check_conditions(entry, app, phi)
+    tuned: Params = {}
+    if trainings[-1].takes_encoder_from_general:
+        if entry.header["checkpoint"] == trainings[-1].name:
+            tuned, phi = phi.alpha, phi._replace(alpha={})
+            _require_tuned_adam(entry.path, tuned)
+        else:
+            observed = f" --observe {app.observes}" if app.observes else ""
+            say(
+                "quickft: no Adam was tuned for this encoder, so that the recipe's Adam is used; tune one by metapp "
+                f"quickft {app.name} --train{observed}"
+            )
+    template = trainings[0].template(phi)
     phi = _resample_alpha_grids(app, phi, template.alpha)
     try:
-        _require_matching_tensors(path, phi, template)
+        _require_matching_tensors(entry.path, phi, template)
     except ValueError as error:
-        quick_folder = shipped_checkpoint_path(app.name, training.name).parent
-        if path.parent == quick_folder and spec.recipe != QUICK_RECIPE_NAME:
+        if entry.path == shipped_checkpoint_path(app.name) and spec.recipe != QUICK_RECIPE_NAME:
             raise ValueError(
                 f"{str(error).removesuffix('.')}; this checkpoint ships for --recipe {QUICK_RECIPE_NAME}."
             ) from None
@@ -78,96 +90,106 @@ def read_checkpoint(spec: Spec, app: App, recipe: Recipe) -> MetaParameters:
     return phi._replace(alpha=tuned) if tuned else phi
 
 
-def checkpoint_files(spec: Spec, app: App, recipe: Recipe) -> list[Path]:
-    """Return the files of the checkpoint that a specification needs.
+def find_checkpoint(spec: Spec, app: App, recipe: Recipe) -> Entry | None:
+    """Return the entry at which fits of a specification begin; None if the paradigm reads none.
 
-    QuickFT takes General's encoder and the Adam that was tuned for it, which is in a file beside it or ships. A QuickFT
-    that was trained here has both in one file.
-
-    Returns:
-        No file if the paradigm reads none, else one or two.
+    QuickFT takes a tuned Adam, which has the encoder that it was tuned for, or else General of the same file.
 
     Raises:
-        ValueError: the folder that --checkpoint names has no such file, or no such checkpoint ships.
+        ValueError: there is no such entry.
     """
     names = [training.name for training in trainings_of(spec.paradigm, app, recipe, spec.rule)]
-    if not names:
-        return []
-    path = _first_file(spec, app, names)
-    is_general = len(names) > 1 and load_checkpoint(path)[1].get("checkpoint") == names[0]
-    return [path, *(_find_tuned_adam(spec, app, path, names[1]) if is_general else [])]
+    return find_entry(spec, app, names[::-1]) if names else None
 
 
-def _first_file(spec: Spec, app: App, names: Sequence[str]) -> Path:
-    """Return the file that --checkpoint names, or the first of some names in the folder that it names, or that ships.
+def find_entry(spec: Spec, app: App, names: Sequence[str]) -> Entry:
+    """Return the first entry that fits can begin at, of the file that --checkpoint names, or of files that ship.
+
+    Args:
+        spec: the specification of the fits.
+        app: the network of the fits.
+        names: the names of the trainings that such an entry may come from, the best first.
 
     Raises:
-        ValueError: the folder has no such file, or no such checkpoint ships.
+        ValueError: --checkpoint names no checkpoint that has such an entry, or none ships.
     """
-    named = spec.checkpoint
-    if named and not named.is_dir():
-        if not named.is_file():
-            raise ValueError(
-                f"{named}: no such checkpoint; give --checkpoint an existing .safetensors file, or train one."
+    if spec.checkpoint:
+        entry = find_in_file(spec.checkpoint, app, names)
+        if not entry:
+            raise ValueError(_describe_other_checkpoint(spec, app, names))
+        return entry
+    for path in _shipped_files(spec):
+        if entry := find_in_file(path, app, names):
+            return entry
+    raise ValueError(
+        f"{app.full_name} {names[-1]}, recipe {spec.recipe}: no checkpoint ships; train one with --train, or name "
+        "one with --checkpoint."
+    )
+
+
+def _shipped_files(spec: Spec) -> list[Path]:
+    """Return the files that ship in which the recipe of a specification looks for an entry, in this order."""
+    ships = has_shipped_recipe(spec.application, spec.recipe)
+    return usable_shipped_checkpoints(spec.app, spec.recipe) if ships else []
+
+
+def find_in_file(path: Path, app: App, names: Sequence[str]) -> Entry | None:
+    """Return the first entry of a file that comes from one of some trainings, for what the fits see; None if none does.
+
+    An entry that states what fits see comes before one that serves several kinds of fits, or was written before
+    entries stated it.
+    """
+    headers = read_headers(path)
+    for name in names:
+        for observed in (app.observes, None):
+            for entry, header in headers.items():
+                found = (header.get("app"), header.get("checkpoint"), header.get("observe"))
+                if found == (app.name, name, observed):
+                    return Entry(path, entry, header)
+    return None
+
+
+def _describe_other_checkpoint(spec: Spec, app: App, names: Sequence[str]) -> str:
+    """Return the error message about a file that --checkpoint names and that has no entry for the fits."""
+    assert spec.checkpoint
+    headers = read_headers(spec.checkpoint).values()
+    for header in headers:
+        if header.get("app") == app.name and header.get("checkpoint") in names:
+            observed = header.get("observe")
+            return (
+                f"{spec.checkpoint}: a checkpoint for --observe {observed}, expected one for {app.observes}; give "
+                f"--observe {observed} or another checkpoint."
             )
-        return named
-    files = [f"{checkpoint_name(spec.application, app, name)}.safetensors" for name in names]
-    if named:
-        found = [named / file for file in files if (named / file).is_file()]
-        if not found:
-            check_files_of_user(named, f"a folder of checkpoints with {files[0]}")
-            there = ", ".join(sorted(file.stem for file in named.glob("*.safetensors"))) or "no checkpoints"
-            raise ValueError(
-                f"{named}: holds {there}, expected {files[0]}; train it with --train, or name another folder."
-            )
-        return found[0]
-    path = _shipped_path(spec, app, names[0])
-    if not (path.is_file() and has_shipped_recipe(spec.application, spec.recipe)):
-        raise ValueError(
-            f"{app.full_name} {names[0]}, recipe {spec.recipe}: no checkpoint ships; train one with --train, or name "
-            "one with --checkpoint."
-        )
-    return path
+    found_app = next((header.get("app") for header in headers), None)
+    found_names = [str(header.get("checkpoint")) for header in headers]
+    rule = next((name for name in found_names if name not in PARADIGMS), "")
+    remedy = f"; add --rule {rule}" if found_app == app.name and rule and spec.rule else ""
+    return (
+        f"{spec.checkpoint}: a checkpoint of {found_app} {', '.join(found_names)}, expected {app.name} "
+        f"{names[-1]}{remedy}."
+    )
 
 
 def checkpoint_digest(spec: Spec, app: App, recipe: Recipe) -> str:
     """Return 12 hexadecimal digits of the content of a specification's checkpoint; "" if the paradigm reads none."""
-    files = checkpoint_files(spec, app, recipe)
-    return file_digest(files[-1]) if files else ""
+    entry = find_checkpoint(spec, app, recipe)
+    return str(entry.header.get("digest", "")) if entry else ""
 
 
-def describe_checkpoint(spec: Spec, app: App, recipe: Recipe) -> str:
+def describe_checkpoint(spec: Spec) -> str:
     """Return where the fits of a complete specification begin, in words."""
     if not spec.digest:
         return "a random initialisation"
     if spec.checkpoint:
-        return str(checkpoint_files(spec, app, recipe)[0])
+        return str(spec.checkpoint)
     labels = (FILES_LABEL, MEMORY_FORMAT, *map(data_label, embedded_folders(spec.application)))
     note = "" if spec.data in labels else ", trained on other data, which may hold these tasks"
     return f"the checkpoint that ships{note}"
 
 
-def checkpoint_name(application: Application, app: App, name: str) -> str:
-    """Return a checkpoint's file name without its suffix, such as "general" or "meta-photo".
-
-    The name ends with what fits see unless that is the application's default. General learns nothing of it, so that its
-    name has no such ending either if a recipe of the default has an equal network.
-
-    Args:
-        application: the application.
-        app: the network of the fits, and what they see.
-        name: the name of the checkpoint's training.
-    """
-    if app.observes == application.default_observation:
-        return name
-    first_apps = (entry.load().app for entry in application.recipes_observing().values())
-    is_shared = name == GENERAL and any(app.encoder_settings == first_app.encoder_settings for first_app in first_apps)
-    return name if is_shared else f"{name}-{app.observes}"
-
-
-def has_shipped_checkpoint(spec: Spec, app: App, name: str) -> bool:
-    """Return whether a checkpoint ships that the training of another one may begin at."""
-    return has_shipped_recipe(spec.application, spec.recipe) and _shipped_path(spec, app, name).is_file()
+def has_shipped_general(spec: Spec, app: App) -> bool:
+    """Return whether a General ships that the training of another checkpoint may begin at."""
+    return any(find_in_file(path, app, [GENERAL]) for path in _shipped_files(spec))
 
 
 def has_shipped_recipe(application: Application, recipe: str) -> bool:
@@ -175,7 +197,7 @@ def has_shipped_recipe(application: Application, recipe: str) -> bool:
 
     The recipe "full" needs none for itself where its application has the network of the recipe "quick".
     """
-    has_checkpoints = recipe == QUICK_RECIPE_NAME or checkpoint_folder(application.name, recipe).is_dir()
+    has_checkpoints = recipe == QUICK_RECIPE_NAME or shipped_checkpoint_path(application.name, recipe).is_file()
     if has_checkpoints or recipe != FULL_RECIPE_NAME:
         return has_checkpoints
     recipes = application.recipes_observing()
@@ -188,72 +210,29 @@ def usual_recipe(application: Application) -> str:
     return FULL_RECIPE_NAME if has_full and has_shipped_recipe(application, FULL_RECIPE_NAME) else QUICK_RECIPE_NAME
 
 
-def _load(path: Path, spec: Spec, app: App) -> tuple[MetaParameters, Document]:
-    """Read a file of a checkpoint, with the encoder of the shipped General if its description names that one."""
-    return load_checkpoint(path, spec.device, _shipped_path(spec, app, GENERAL))
+def _check_conditions(entry: Entry, app: App, phi: MetaParameters) -> None:
+    """Compare the conditions that a checkpoint was trained under with those of fits, such as features.
 
-
-def _shipped_path(spec: Spec, app: App, name: str) -> Path:
-    return shipped_checkpoint_path(app.name, checkpoint_name(spec.application, app, name), spec.recipe)
-
-
-def _require_kind(
-    path: Path, spec: Spec, app: App, names: Sequence[str], phi: MetaParameters, header: Document
-) -> None:
-    """Refuse a checkpoint for another application, paradigm or rule, for fits that see other things, or other features.
-
-    A file of General may not say what fits see, since it serves several kinds of fits. A checkpoint without an encoder
-    that was trained under other conditions gets a warning only.
+    A checkpoint without an encoder that was trained under other conditions gets a warning only.
 
     Args:
-        path: the file of the checkpoint.
-        spec: the specification of fits that need it.
-        app: the network of these fits.
-        names: the names of checkpoints that they can read.
-        phi: the parameters in the file.
-        header: the description in the file.
+        entry: the entry of the checkpoint.
+        app: the network of the fits.
+        phi: the meta-parameters of the entry.
+
+    Raises:
+        ValueError: its encoder reads other features.
     """
-    found_app, name = header.get("app"), header.get("checkpoint")
-    if found_app != app.name or name not in names:
-        is_rule = isinstance(name, str) and name not in PARADIGMS
-        remedy = f"; add --rule {name}" if found_app == app.name and is_rule and spec.rule else ""
-        raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {names[0]}{remedy}.")
-    # a file without an entry was written before there was one, or holds for all observations
-    observed = header.get("observe", app.observes)
-    if observed != app.observes:
-        raise ValueError(
-            f"{path}: a checkpoint for --observe {observed}, expected one for {app.observes}; give --observe "
-            f"{observed} or another checkpoint."
-        )
     for key, condition in app.recorded_conditions().items():
-        trained_condition = header.get(key, condition)
+        trained_condition = entry.header.get(key, condition)
         if trained_condition != condition and phi.encoder:
             raise ValueError(  # what is here comes first: a condition may say how to get what is missing
-                f"{app.name}: {key} here: {condition}, expected {trained_condition}, which the encoder of {path} "
+                f"{app.name}: {key} here: {condition}, expected {trained_condition}, which the encoder of {entry.path} "
                 "reads; or give another checkpoint, or train one with --train."
             )
         if trained_condition != condition:
-            say(f"warning: {path.name} was trained with {trained_condition}, but this run has {condition}.")
-
-
-def _find_tuned_adam(spec: Spec, app: App, general: Path, name: str) -> list[Path]:
-    """Find the file of the Adam that was tuned for the encoder of a General, beside it or among those that ship.
-
-    Args:
-        spec: the specification.
-        app: the network of its fits.
-        general: the file of General that the user named.
-        name: the name of the checkpoint that has the Adam.
-
-    Returns:
-        The file; [] if no Adam was tuned for this encoder.
-    """
-    encoder = tensor_digest(load_checkpoint(general)[0].encoder)
-    beside = general.with_name(f"{checkpoint_name(spec.application, app, name)}.safetensors")
-    for path in (beside, _shipped_path(spec, app, name)):
-        if path.is_file() and _load(path, spec, app)[1].get("encoder") == encoder:
-            return [path]
-    return []
+            place = f"{entry.name} of {entry.path.name}"
+            say(f"warning: {place} was trained with {trained_condition}, but this run has {condition}.")
 
 
 def _resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:

@@ -62,7 +62,7 @@ class Spec:
     ] = None
     checkpoint: Annotated[
         Path | None,
-        Option("Checkpoint, or folder of checkpoints; default: the one that ships.", "FILE", panel=FIT),
+        Option("File of checkpoints, for all paradigms; default: those that ship.", "FILE", panel=FIT),
     ] = None
     seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MAX_SEED, panel=FIT)] = 0
     device: Annotated[str, Option("auto, cpu, cuda; default: auto.", choices=("auto", "cpu", "cuda"), panel=FIT)] = (

@@ -1,16 +1,17 @@
-"""Files of checkpoints and of the states of running trainings, and the digests by which records name them.
+"""Files of checkpoints and of the states of running trainings.
 
-A file that is read may be damaged or written by anybody; no file is unpickled. Which checkpoint a run needs is decided
-in `metapp.runs.checkpoints`.
+A checkpoint is one file of several entries: General's encoder, QuickFT's Adam, and learned rules. An entry is one phi
+with its description. A file that is read may be damaged or written by anybody; no file is unpickled.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,99 +25,153 @@ from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import content_digest, open_tensors, write_bytes
 
-CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3  # versions of the layouts of checkpoints and of training states
+CHECKPOINT_SCHEMA, STATE_SCHEMA = 2, 3  # versions of the layouts of checkpoints and of training states
 FLOAT_TYPES = (torch.half, torch.float32, torch.float64)  # types that tensors of a checkpoint may have
+ENCODER_OF = "encoder_of"  # in the description of an entry: the entry of the file that holds its encoder
 
 
-def save_checkpoint(path: Path, phi: MetaParameters, header: Document, previous: Path | None = None) -> None:
-    """Write a checkpoint with its description, as safetensors.
+def write_entry(path: Path, entry: str, phi: MetaParameters, header: Document, previous: Path | None = None) -> None:
+    """Write one entry of a checkpoint; all other entries of the file stay as they are.
+
+    An encoder that several entries have is stored once. Each description gets the digest of the entry's values.
 
     Args:
-        path: the file to write.
+        path: the file, which is made if it is missing.
+        entry: the name of the entry, such as "general"; an entry of this name is replaced.
         phi: the meta-parameters.
-        header: the description, JSON-ready.
-        previous: the file in which a checkpoint that is replaced is kept; None to keep none.
+        header: the description of the entry, JSON-ready.
+        previous: the file in which the whole file is kept as it was if the entry is replaced; None to keep none.
+
+    Raises:
+        ValueError: there is a file, but it is not a checkpoint.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "brdf.safetensors")
+    ...     write_entry(path, "general", MetaParameters(encoder={"w": torch.ones(2)}), {"app": "brdf"})
+    ...     write_entry(path, "ridge", MetaParameters(encoder={"w": torch.ones(2)}), {"app": "brdf"})
+    ...     list(read_headers(path)), read_headers(path)["ridge"]["encoder_of"]
+    (['general', 'ridge'], 'general')
     """
-    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in phi.flatten().items()}
-    metadata = {"metapp": json.dumps({**header, "schema": CHECKPOINT_SCHEMA})}
+    entries: dict[str, tuple[MetaParameters, Document]] = {}
+    if path.is_file():
+        with _open_checkpoint(path) as (file, stored):
+            entries = {name: (_read_phi(file, stored, name), description) for name, description in stored.items()}
+    replaced_file = previous if entry in entries else None
+    entries[entry] = phi, header
+    tensors: Params = {}
+    headers: dict[str, Document] = {}
+    holders: dict[str, str] = {}  # the entry that holds an encoder, by its digest
+    for name in sorted(entries, key=lambda name: bool(entries[name][0].alpha)):  # encoders alone come first
+        part, header = entries[name]
+        headers[name] = {key: value for key, value in header.items() if key != ENCODER_OF}
+        headers[name]["digest"] = phi_digest(part)
+        holder = holders.setdefault(phi_digest(MetaParameters(encoder=part.encoder)), name) if part.encoder else name
+        if holder != name:
+            headers[name][ENCODER_OF] = holder
+            part = part._replace(encoder={})
+        tensors |= {f"{name}:{key}": value.detach().cpu().contiguous().clone() for key, value in part.flatten().items()}
+    metadata = {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA, "entries": headers})}
     # save_file would write under a name that it chooses, and leave that file behind if the program is killed
-    write_bytes(path, save(tensors, metadata), previous)
+    write_bytes(path, save(tensors, metadata), replaced_file)
 
 
-def load_checkpoint(
-    path: Path, device: torch.device | str = "cpu", general: Path | None = None
-) -> tuple[MetaParameters, Document]:
-    """Read a checkpoint; tensors in half precision become float32.
-
-    A checkpoint may name General's encoder by its digest instead of holding it. The encoder is then read from
-    `general.safetensors` beside the file, or from the file of its protocol, such as `general-photo.safetensors`.
+def read_entry(path: Path, entry: str, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
+    """Read one entry of a checkpoint; tensors in half precision become float32.
 
     Args:
         path: the file.
+        entry: the name of the entry.
         device: the device of the tensors.
-        general: another file of General that may have the encoder.
 
     Returns:
-        The meta-parameters and the description that :func:`save_checkpoint` wrote.
+        The meta-parameters, with their encoder, and the description that :func:`write_entry` wrote.
 
     Raises:
-        ValueError: there is no such file, it is not a checkpoint of metapp, or General's encoder is not found.
+        ValueError: there is no such file, it is not a checkpoint of metapp, or it has no such entry.
     """
+    with _open_checkpoint(path, device) as (file, headers):
+        if entry not in headers:
+            raise ValueError(f"{path}: holds {', '.join(headers)}, expected {entry}; name another checkpoint.")
+        tensors = _to_single(_read_phi(file, headers, entry).flatten())
+    if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
+        raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
+    return MetaParameters.unflatten(tensors), headers[entry]
+
+
+def read_headers(path: Path) -> dict[str, Document]:
+    """Read the descriptions of all entries of a checkpoint, by the names of the entries.
+
+    Raises:
+        ValueError: there is no such file, or it is not a checkpoint of metapp.
+    """
+    with _open_checkpoint(path) as (_, headers):
+        return headers
+
+
+@contextlib.contextmanager
+def _open_checkpoint(path: Path, device: torch.device | str = "cpu") -> Iterator[tuple[Any, dict[str, Document]]]:
+    """Open a checkpoint for the time of a `with` block, with the descriptions of its entries by their names.
+
+    Raises:
+        ValueError: there is no such file, or it is not a checkpoint of metapp, which may turn out in the block.
+    """
+    if path.is_dir():
+        raise ValueError(f"{path}: a folder, expected a checkpoint; name the .safetensors file in it.")
     if not path.is_file():
         raise ValueError(f"{path}: no such checkpoint; give --checkpoint an existing .safetensors file, or train one.")
     try:
         with open_tensors(path, str(device)) as file:
-            header = json.loads((file.metadata() or {})["metapp"])
-            if not isinstance(header, dict) or type(header["schema"]) is not int:
+            document = json.loads((file.metadata() or {})["metapp"])
+            if not isinstance(document, dict) or type(schema := document["schema"]) is not int:
                 raise KeyError(path)
-            stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
-        tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
-        if "start" in header:  # the key in most files that ship; writing them anew would double their history in Git
-            header["checkpoint"] = header.pop("start")
-        if header["schema"] > CHECKPOINT_SCHEMA:
-            raise ValueError(f"{path}: schema {header['schema']}, expected at most {CHECKPOINT_SCHEMA}; update metapp.")
-        if not all(value.dtype in FLOAT_TYPES for value in tensors.values()):
-            raise KeyError(path)
-        if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
-            raise KeyError(path)
-        if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
-            raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        phi = MetaParameters.unflatten(tensors)
-        if "general" in header:
-            phi = _add_general_encoder(path, phi, header["general"], device, general)
-        return phi, header
+            if schema != CHECKPOINT_SCHEMA:
+                remedy = "update metapp" if schema > CHECKPOINT_SCHEMA else "train one again"
+                raise ValueError(f"{path}: schema {schema}, expected {CHECKPOINT_SCHEMA}; {remedy}.")
+            headers = document["entries"]
+            if not isinstance(headers, dict) or not all(isinstance(header, dict) for header in headers.values()):
+                raise KeyError(path)
+            yield file, headers
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError):
         raise ValueError(
             f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
 
 
-def _add_general_encoder(
-    path: Path, phi: MetaParameters, encoder_digest: str, device: torch.device | str, general: Path | None
-) -> MetaParameters:
-    """Add to a checkpoint the encoder of the General that its description names.
+def _read_phi(file: Any, headers: dict[str, Document], entry: str) -> MetaParameters:
+    """Read an entry of an open checkpoint with its encoder, in the precision of the file.
 
     Args:
-        path: the file of the checkpoint.
-        phi: the meta-parameters in the file.
-        encoder_digest: the digest of General's encoder.
-        device: the device of the tensors.
-        general: a file of General beside those in the checkpoint's folder.
+        file: the open file.
+        headers: the descriptions of its entries.
+        entry: the name of the entry.
 
     Raises:
-        ValueError: no file of General has this encoder.
+        KeyError: the tensors are not those of meta-parameters, or the entry that holds the encoder is missing.
     """
-    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # the second is a file for the protocol alone
-    files = [path.with_name(f"{name}.safetensors") for name in names]
-    for file in [*files, general] if general else files:
-        if file.is_file() and file != path:  # a file of General itself names no other
-            encoder = load_checkpoint(file, device)[0].encoder
-            if tensor_digest(encoder) == encoder_digest:
-                return phi._replace(encoder=encoder)
-    raise ValueError(
-        f"{path}: goes on from General {encoder_digest}, which is not beside it, as general.safetensors; keep both "
-        "files together."
-    )
+    names = [name for name in file.keys() if name.startswith(f"{entry}:")]  # noqa: SIM118  (not a mapping)
+    tensors = {name.removeprefix(f"{entry}:"): file.get_tensor(name) for name in names}
+    if not all(value.dtype in FLOAT_TYPES for value in tensors.values()):
+        raise KeyError(entry)
+    if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
+        raise KeyError(entry)
+    phi = MetaParameters.unflatten(tensors)
+    if ENCODER_OF not in headers[entry]:
+        return phi
+    holder = str(headers[entry][ENCODER_OF])
+    if ENCODER_OF in headers[holder]:  # two entries could name each other without end
+        raise KeyError(entry)
+    return phi._replace(encoder=_read_phi(file, headers, holder).encoder)
+
+
+def phi_digest(phi: MetaParameters) -> str:
+    """Return 12 hexadecimal digits that change with any value of meta-parameters, as fits see them."""
+    return tensor_digest(_to_single(phi.flatten()))
+
+
+def _to_single(tensors: Params) -> Params:
+    """Return tensors with those of half precision in single precision."""
+    return {key: value.float() if value.dtype == torch.half else value for key, value in tensors.items()}
 
 
 def tensor_digest(params: Params) -> str:

@@ -19,15 +19,14 @@ from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.latlong import solid_angles, sphere_normals, texel_directions
 from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.learning.app import App, stack_tasks
-from metapp.learning.learn import DescentState, MetaParameters, final_item
+from metapp.learning.learn import DescentState, final_item
 from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms.methods import descend_tasks, fit_tasks, make_method
-from metapp.paradigms.trainings import trainings_of
-from metapp.runs.checkpoints import checkpoint_name
-from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
+from metapp.paradigms.methods import Method, descend_tasks, fit_tasks, make_method
+from metapp.runs.checkpoints import read_checkpoint
+from metapp.runs.resolve import complete
+from metapp.runs.spec import Spec
 from tests.marked import long
-from tests.recipe_apps import app_by_recipe, application, recipes_of
+from tests.recipe_apps import app_by_recipe, recipes_of
 
 WORSE = 1.2  # than QuickFT's
 
@@ -47,14 +46,11 @@ def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     recipe = recipes_of(app.name, app.observes)["quick"]
     tasks = stack_tasks(app, list(sources))
 
-    def shipped(paradigm: str) -> list[MetaParameters]:
-        trainings = trainings_of(paradigm, app, recipe)
-        names = [checkpoint_name(application(app.name), app, training) for training in trainings]
-        return [load_checkpoint(shipped_checkpoint_path(app.name, name))[0] for name in names]
+    def shipped(paradigm: str) -> Method:
+        spec = complete(Spec(app=app.name, paradigm=paradigm, observe=app.observes, recipe="quick", device="cpu"))
+        return make_method(paradigm, app, recipe, read_checkpoint(spec, app, recipe))
 
-    (learned,), (general, adam) = shipped("meta"), shipped("quickft")
-    meta = make_method("meta", app, recipe, learned)
-    quickft = make_method("quickft", app, recipe, general._replace(alpha=adam.alpha))
+    meta, quickft = shipped("meta"), shipped("quickft")
     rng = [Generator().manual_seed(0) for _ in range(4)]
     return Found(
         tasks,

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file, save, save_file
 
 from metapp.runs.stored_fits import read_fits
-from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
+from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, read_entry, write_entry
 from metapp.storage.fit_folders import PARAMS, RECORD
 from tests.cli.messages import says
 from tests.kept_fits import fit_of, write_fit
@@ -127,16 +127,25 @@ def test_a_fit_without_parameters_ends_an_export_and_is_named(metapp: Callable, 
 
 # Checkpoints
 
-PART = {"theta.x": torch.ones(1)}
-WHOLE = save(PART, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})})
+PART = {"a:theta.x": torch.ones(1)}
+
+
+def described(**headers: object) -> dict[str, str]:
+    """The metadata of a checkpoint with these descriptions of entries."""
+    return {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA, "entries": headers})}
+
+
 NO_CHECKPOINTS = {  # tests/fuzz tries any bytes
     "bare": save(PART, None),
-    "other part": save({"other.x": torch.ones(1)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})}),
+    "other part": save({"a:other.x": torch.ones(1)}, described(a={})),
+    "no entries": save(PART, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})}),
+    "no description": save(PART, described(a=[])),
+    "encoder of none": save(PART, described(a={"encoder_of": "b"})),
+    "encoder of nothing": save(PART, described(a={"encoder_of": {}})),
+    "encoder of itself": save(PART, described(a={"encoder_of": "a"})),
     **{f"header {header[:20]}": save(PART, {"metapp": header}) for header in ("[]", '{"schema": true}', NESTED)},
-    "integers": save(
-        {"theta.x": torch.ones(2, dtype=torch.int64)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})}
-    ),
-    "cut": WHOLE[:-1],
+    "integers": save({"a:theta.x": torch.ones(2, dtype=torch.int64)}, described(a={})),
+    "cut": save(PART, described(a={}))[:-1],
     "pickle": b"\x80\x04N.",
 }
 
@@ -146,13 +155,13 @@ def test_files_that_are_no_checkpoint_are_refused(tmp_path: Path, content: bytes
     path = tmp_path / "meta.safetensors"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"meta.safetensors: not a checkpoint that metapp wrote") as caught:
-        load_checkpoint(path)
+        read_entry(path, "a")
     assert "\n" not in str(caught.value)
 
 
 def write_changed_checkpoint(name: str, changes: dict[str, Any]) -> Path:
     """A rule's checkpoint that ships, with another description or other tensors: None takes one away."""
-    checkpoint, info = load_checkpoint(SHIPPED / "brdf" / f"{name}.safetensors")
+    checkpoint, info = read_entry(SHIPPED / "brdf" / "quick.safetensors", name)
     for part, new in changes.items():
         if part in checkpoint._fields:
             tensors = getattr(checkpoint, part) | new
@@ -160,8 +169,10 @@ def write_changed_checkpoint(name: str, changes: dict[str, Any]) -> Path:
             checkpoint = checkpoint._replace(**{part: tensors})
         else:
             info = info | {part: new}
-    save_checkpoint(Path("s.safetensors"), checkpoint, info)
-    return Path("s.safetensors")
+    path = Path("s.safetensors")
+    path.unlink(missing_ok=True)
+    write_entry(path, name, checkpoint, info)
+    return path
 
 
 CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
@@ -182,7 +193,7 @@ def test_checkpoints_of_other_fits_are_one_line(fit: Callable, network: Path) ->
         line = fit("meta", network, "--rule", rule, "--checkpoint", write_changed_checkpoint(rule, changes)).error
         assert message in line, changes
         assert "s.safetensors" in line, changes
-    for name in ("texture/meta-basis", "illumination/general", "brdf/general", "brdf/quickft"):
+    for name in ("texture/quick", "illumination/quick", "brdf/few"):
         assert fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors").error
 
 

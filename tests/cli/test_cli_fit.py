@@ -19,13 +19,11 @@ from safetensors.torch import load_file
 from data_tools.synthetic.examples import write_example
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.learning.recipe import Adam, Recipe
+from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
 from metapp.runs.fit import Fit
 from metapp.runs.stored_fits import read_fits
-from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.files import file_digest
 from metapp.storage.fit_folders import RECORD, read_params
 from metapp.storage.folders import MARKER
 from tests.cli.messages import says
@@ -201,88 +199,17 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     assert Path(document["out"]).is_dir()
 
 
-def test_a_trained_checkpoint_is_used_where_it_is_named(fit: Callable) -> None:
-    """The option names its file or folder.
-
-    Without it, fits begin at the checkpoint that ships, whatever was trained here.
-    """
-    ships = fit("general", "--json")
-    trained = fit("general", *STEPS, "--json")
-    (checkpoint,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    assert errors_of(fit("general", "--json")) == errors_of(ships) != errors_of(trained)
-    for named in (checkpoint, checkpoint.parent):
-        again = fit("general", "--json", "--checkpoint", named)
-        assert str(checkpoint) in again.err
-        assert errors_of(again) == errors_of(trained)
-    assert fit("finetune", "--json", "--checkpoint", checkpoint.parent).json_document["steps"] == 5
-    refuse(fit("meta", "--checkpoint", checkpoint.parent), "general", "meta-curvature.safetensors")
-    assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
-    fit("general", *STEPS)
-    assert not checkpoint.with_suffix(".previous.safetensors").exists()  # it would be the same
-    fit("general", *STEPS[:-1], "4")
-    assert load_checkpoint(checkpoint.with_suffix(".previous.safetensors"))[1]["training"]["steps"] == 3
-    result = fit("general", "--checkpoint", checkpoint.rename("mine.safetensors"))
-    assert result.code == 0
-    assert "mine.safetensors" in result.err
-
-
-def test_a_table_compares_the_checkpoints_of_a_folder(fit: Callable, metapp: Callable, ten_materials: Path) -> None:
+def test_a_table_compares_the_entries_of_a_checkpoint(fit: Callable, metapp: Callable, ten_materials: Path) -> None:
     trained = {paradigm: fit(paradigm, *STEPS, "--json") for paradigm in ("general", "quickft", "meta")}
-    (folder,) = Path("runs/brdf/checkpoints").iterdir()
+    (checkpoint,) = Path("runs/brdf/checkpoints").iterdir()
     table = ("evaluate", "brdf", "--which", "quickft", "--data", ten_materials, "--json")
-    ships, own_rows = (metapp(*table, *more).json_result["rows"] for more in ((), ("--checkpoint", folder)))
+    ships, own_rows = (metapp(*table, *more).json_result["rows"] for more in ((), ("--checkpoint", checkpoint)))
     found = {row["paradigm"]: row["error"] for row in own_rows}
     means = {name: sum(errors_of(result)) / 2 for name, result in trained.items()}
     assert {name: found[name] for name in means} == pytest.approx(means)
     assert found != {row["paradigm"]: row["error"] for row in ships}
-    both = metapp("evaluate", "brdf", "texture", "--checkpoint", folder)
-    assert says(both.misuse, str(folder), "2 applications", "one APP")
-
-
-@pytest.mark.parametrize(("paradigm", "rule"), [("general", "general"), ("meta", "meta-sgd")])
-def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule: str) -> None:
-    """Outer steps go on where those of the checkpoint ended, and fits use the result."""
-    named = () if paradigm == "general" else ("--rule", rule)
-    first = fit(paradigm, *named, *STEPS, "--json")
-    assert first.code == 0, first.err
-    (kept,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
-    kept = kept.rename("mine.safetensors")
-    more = fit(paradigm, *named, *STEPS, "--checkpoint", kept, "--json")
-    assert more.code == 0, more.err
-    assert "going on from mine.safetensors" in more.err
-    (path,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
-    (_, then), (_, info) = load_checkpoint(kept), load_checkpoint(path)
-    assert info["first"] == file_digest(kept)
-    assert info["curve"][0][2] == pytest.approx(then["validation_error"], rel=1e-4)
-    assert info["validation_error"] <= then["validation_error"]
-    assert str(path) in more.err
-
-
-def test_a_training_begins_at_the_general_that_is_named(fit: Callable) -> None:
-    fit("general", *STEPS)
-    (kept,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    kept = kept.rename("mine.safetensors")
-    for paradigm in ("quickft", "meta"):
-        result = fit(paradigm, *STEPS, "--checkpoint", kept)
-        assert (result.code, "General: mine.safetensors" in result.err) == (0, True)
-    assert not list(Path("runs/brdf/checkpoints").rglob("general.safetensors"))
-    (tuned,) = Path("runs/brdf/checkpoints").rglob("quickft.safetensors")
-    refuse(fit("quickft", "--train", "--checkpoint", tuned), str(tuned), "General")
-    assert says(fit("quickft", "--train", "--checkpoint", tuned.parent).misuse, str(tuned.parent), "--train", "file")
-
-
-def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
-    # a recipe that moves too far, and a search that looks at one other
-    monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0), search=([{"beta1": 0.3, "rate": 1e-7}],)))
-    assert fit("general", *STEPS).code == 0
-    (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    assert says(fit("quickft", "--checkpoint", general).err, "no Adam", "--train")
-    tuned = fit("quickft", "--train", "--checkpoint", general, "--json")
-    assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
-    assert tuned.code == 0
-    (file,) = Path("runs/brdf/checkpoints").rglob("quickft.safetensors")
-    assert float(load_checkpoint(file)[0].alpha["beta1"]) == pytest.approx(0.3)  # the tuned one, not the recipe's
-    assert errors_of(fit("quickft", "--checkpoint", file, "--json")) == errors_of(tuned)
+    both = metapp("evaluate", "brdf", "texture", "--checkpoint", checkpoint)
+    assert says(both.misuse, str(checkpoint), "2 applications", "one APP")
 
 
 def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
@@ -311,18 +238,6 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert says(fit("overfit").err, "2 of 2 fits", "replace", "--resume")
 
 
-def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
-    """A General of equal settings is not trained again, and one of other settings is not replaced."""
-    result = fit("meta", *STEPS)
-    assert says(result.err, "General", "training it first", "3 steps")
-    (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
-    before = general.stat().st_mtime_ns
-    assert "training it first" not in fit("quickft", *STEPS).err
-    assert general.stat().st_mtime_ns == before
-    refuse(fit("meta", *STEPS[:-1], "2"), str(general), "General", "--checkpoint")
-    assert general.stat().st_mtime_ns == before
-
-
 # What is refused: test_cli_messages.py has a table of each kind of message
 
 
@@ -342,25 +257,6 @@ def test_parameters_that_are_not_finite_are_an_error(
     error = metapp("overfit", "brdf", networks / "m1", "--steps", "0", "--recipe", "quick").error
     assert says(error, "m1: ", "not finite")
     assert not list(Path("runs").rglob("*.jsonl"))
-
-
-# Rules that ship without a checkpoint
-
-
-def test_a_rule_without_a_checkpoint_is_trained_and_used(fit: Callable) -> None:
-    """It is trained as the recipe's default rule is."""
-    trained = fit("meta", "--rule", "meta-adam", *STEPS, "--json", "--quiet")
-    assert trained.code == 0, trained.err
-    assert trained.json_document["rule"] == "meta-adam"
-    (path,) = Path("runs").rglob("meta-adam.safetensors")
-    start, info = load_checkpoint(path)
-    assert info["checkpoint"] == "meta-adam"
-    assert info["training"]["clip"] == RECIPES["quick"].meta["meta-curvature"].clip
-    assert {"rate", "beta1", "beta2", "loss"} == {name.partition(".")[0] for name in start.alpha}
-    again = fit("meta", "--rule", "meta-adam", "--json", "--quiet", "--checkpoint", path.parent).json_document
-    assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.json_document["tasks"]]
-    assert "meta-adam" in Path(again["out"]).name
-    refuse(fit("meta", "--checkpoint", path), "brdf meta-curvature", "--rule meta-adam")
 
 
 @pytest.mark.long

@@ -14,11 +14,11 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-import metapp as package
+from metapp.storage.checkpoint_files import read_entry, write_entry
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.pictures import write_noise_photo
 
 NETWORKS = 2
-CHECKPOINTS = Path(package.__file__).parent / "checkpoints" / "brdf"
 BOUND_OF_SEEDS = "9,223,372,036,854,775,807"
 
 
@@ -39,7 +39,8 @@ def inputs(networks: Path, metapp: Callable) -> None:
     write_noise_photo(Path("a.png"))
     Path("broken.safetensors").write_bytes(b"broken")
     save_file({"x": torch.zeros(2)}, "foreign.safetensors")
-    shutil.copy(CHECKPOINTS / "general.safetensors", ".")
+    phi, header = read_entry(shipped_checkpoint_path("brdf"), "general")
+    write_entry(Path("general.safetensors"), "general", phi, header)
     for split in ("train", "test"):
         metapp("data", "nbrdf", "m1", "--out", split, "--split", split, "--samples", "512")
 

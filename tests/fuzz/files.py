@@ -251,11 +251,11 @@ def data_sets() -> list[Files]:
 
 
 def checkpoints() -> list[Files]:
-    """Return two checkpoints that ship."""
+    """Return two checkpoints that ship, the second of several entries."""
     from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
-    names = ("meta-sgd", "meta-curvature")
-    return [{f"{name}.safetensors": shipped_checkpoint_path("brdf", name).read_bytes()} for name in names]
+    recipes = ("paper", "quick")
+    return [{f"{recipe}.safetensors": shipped_checkpoint_path("brdf", recipe).read_bytes()} for recipe in recipes]
 
 
 def records() -> list[Files]:

@@ -97,14 +97,14 @@ def small_tasks() -> Any:
 
 
 def read_checkpoint(folder: Path, file: Path) -> None:
-    """Read files as --checkpoint, and take one step of a fit."""
+    """Read files as --checkpoint, and take one step of a fit by the recipe of the file's name."""
     from metapp.paradigms.methods import fit_tasks
     from metapp.runs.fitting import Fitter
     from metapp.runs.resolve import complete
     from metapp.runs.spec import Spec
 
-    spec = Spec(app="brdf", rule=file.stem, recipe="quick", steps=1, checkpoint=file, device="cpu")
-    method = Fitter.of(complete(spec)).method
+    spec = complete(Spec(app="brdf", recipe=file.stem, steps=1, checkpoint=file, device="cpu"))
+    method = Fitter.of(spec).method
     try:
         theta = fit_tasks(method, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged

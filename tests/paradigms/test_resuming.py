@@ -19,7 +19,7 @@ from metapp.learning.task import Tasks
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.training import TrainState, train_phi
 from metapp.paradigms.trainings import Training, general_training, rule_training, trainings_of
-from metapp.storage.checkpoint_files import load_training_state, save_checkpoint, save_training_state
+from metapp.storage.checkpoint_files import load_training_state, save_training_state, write_entry
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, seeded_generator
 
@@ -60,8 +60,8 @@ def run(training: Training, tasks: Tasks, path: Path | None = None, most: float 
 
 def as_file(prepared: TrainState, path: Path) -> bytes:
     """All of a training's result, as its file holds it."""
-    save_checkpoint(
-        path, prepared.phi, {"curve": prepared.curve, "at": prepared.best_step, "error": prepared.validation}
+    write_entry(
+        path, "a", prepared.phi, {"curve": prepared.curve, "at": prepared.best_step, "error": prepared.validation}
     )
     return path.read_bytes()
 

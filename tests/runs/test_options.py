@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from typer.testing import CliRunner
 
 from data_tools.synthetic.examples import write_example
@@ -17,12 +16,9 @@ from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.checkpoints import has_shipped_recipe
-from metapp.runs.fitting import Fitter
 from metapp.runs.inputs.finding import find
 from metapp.runs.resolve import app_of, complete
 from metapp.runs.spec import RunOptions, Spec, given_words, parse_fit_options
-from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
-from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.recipe_apps import app_by_recipe, app_names, observations_of, presenter_of, recipes_of
 
 
@@ -151,36 +147,6 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 
 
 # What was learned at the quick size fits at the full one
-
-
-@pytest.mark.parametrize("observe", ["reference", "photo"])
-@pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
-def test_meta_starts_from_what_quick_learned(name: str, observe: str) -> None:
-    fitter = Fitter.of(complete(Spec(app=name, observe=observe, recipe="full")))
-    assert fitter.app == fitter.recipe.app
-    assert fitter.app.observes == fitter.recipe.observes == observe
-    prepared = fitter.phi
-    field = fitter.app.decoder.network
-    assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
-    file = f"{fitter.recipe.rule}{'-photo' if observe == 'photo' else ''}"
-    learned = load_checkpoint(shipped_checkpoint_path(name, file, "full"))[0].alpha
-    assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
-    assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
-
-
-def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
-    start, info = load_checkpoint(shipped_checkpoint_path("illumination", "meta-lgd"))
-    bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
-    save_checkpoint(tmp_path / "bad.safetensors", bad, info)
-    spec = Spec(app="illumination", recipe="full", checkpoint=tmp_path / "bad.safetensors")
-    with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        Fitter.of(complete(spec))
-
-
-def test_a_rule_that_ships_at_the_quick_size_alone_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoints._require_kind", lambda *_: None)  # VGG may be missing
-    with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
-        Fitter.of(complete(Spec(app="texture", rule="meta-basis")))
 
 
 @pytest.mark.parametrize(

@@ -1,83 +1,102 @@
-"""Checkpoint files: they read back as written, and take the encoder of the General that belongs to them."""
+"""Checkpoints: entries read back as written, and share the encoders that they have in common."""
 
 import json
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save
+from safetensors.torch import load_file, save
 
 from metapp.learning.learn import MetaParameters
 from metapp.storage.checkpoint_files import (
     CHECKPOINT_SCHEMA,
-    load_checkpoint,
-    save_checkpoint,
-    tensor_digest,
+    phi_digest,
+    read_entry,
+    read_headers,
+    write_entry,
 )
 from metapp.storage.files import content_digest, file_digest
 
-START = MetaParameters(
+PHI = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
     {"rate.w1": torch.full((1, 2, 3), -1e-3), "beta1": torch.tensor([0.5, 0.25], dtype=torch.float64)},
     {"in.w": torch.ones(3, 2).T.requires_grad_()},
 )
+ENCODER = {"w": torch.arange(3.0)}
+GENERAL, RULE = MetaParameters(encoder=ENCODER), MetaParameters(alpha={"rate": torch.ones(1)}, encoder=ENCODER)
 
 
-def test_checkpoints_read_back_as_written(tmp_path: Path) -> None:
-    path, info = (
-        tmp_path / "größe" / "start.safetensors",
-        {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]},
-    )
-    save_checkpoint(path, START, info)
-    start, output = load_checkpoint(path)
-    assert output == {**info, "schema": CHECKPOINT_SCHEMA}
-    for part, expected in zip(start, START, strict=True):
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """The place of a checkpoint, in a folder that is not there yet."""
+    return tmp_path / "größe" / "quick.safetensors"
+
+
+def test_entries_read_back_as_written(path: Path) -> None:
+    header = {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]}
+    write_entry(path, "ridge", PHI, header)
+    phi, output = read_entry(path, "ridge")
+    assert output == {**header, "digest": phi_digest(phi)}
+    for part, expected in zip(phi, PHI, strict=True):
         torch.testing.assert_close(part, dict(expected), rtol=0, atol=0)  # of the same keys and types
-    assert [file.name for file in path.parent.iterdir()] == ["start.safetensors"]
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
     row = torch.arange(3.0)
-    save_checkpoint(tmp_path / "s.safetensors", MetaParameters({"a": row.expand(2, 3), "b": row, "c": row[1:]}), {})
-    start, _ = load_checkpoint(tmp_path / "s.safetensors")
-    assert start.theta["a"].tolist() == [[0, 1, 2], [0, 1, 2]]
-    assert start.theta["c"].tolist() == [1, 2]
+    write_entry(path, "views", MetaParameters({"a": row.expand(2, 3), "b": row, "c": row[1:]}), {})
+    phi, _ = read_entry(path, "views")
+    assert phi.theta["a"].tolist() == [[0, 1, 2], [0, 1, 2]]
+    assert phi.theta["c"].tolist() == [1, 2]
+
+
+def test_tensors_in_half_precision_stay_so_in_the_file(path: Path) -> None:
+    write_entry(path, "general", MetaParameters(encoder={"w": torch.ones(3).half()}), {})
+    write_entry(path, "other", PHI, {})
+    assert load_file(path)["general:encoder.w"].dtype == torch.half
+    assert read_entry(path, "general")[0].encoder["w"].dtype == torch.float32
+
+
+def test_an_entry_that_is_written_leaves_the_others(path: Path) -> None:
+    previous = path.with_name("previous.safetensors")
+    write_entry(path, "general", GENERAL, {"app": "brdf"}, previous)
+    write_entry(path, "ridge", PHI, {"app": "brdf"}, previous)
+    assert not previous.exists()
+    before = path.read_bytes()
+    write_entry(path, "ridge", PHI._replace(theta={}), {"app": "brdf", "seed": 1}, previous)
+    assert previous.read_bytes() == before
+    assert list(read_headers(path)) == ["general", "ridge"]
+    assert read_headers(path)["ridge"]["seed"] == 1
+    assert not read_entry(path, "ridge")[0].theta
+    torch.testing.assert_close(read_entry(path, "general")[0].encoder, ENCODER, rtol=0, atol=0)
+
+
+def test_an_encoder_that_entries_share_is_stored_once(path: Path) -> None:
+    """Whichever comes first; an entry keeps its encoder when the one that holds it is replaced."""
+    write_entry(path, "ridge", RULE, {})
+    write_entry(path, "general", GENERAL, {})
+    assert sorted(load_file(path)) == ["general:encoder.w", "ridge:alpha.rate"]
+    assert (read_headers(path)["ridge"]["encoder_of"], read_headers(path)["general"].get("encoder_of")) == (
+        "general", None,
+    )  # fmt: skip
+    digest = read_headers(path)["ridge"]["digest"]
+    write_entry(path, "general", MetaParameters(encoder={"w": torch.zeros(3)}), {})
+    phi, header = read_entry(path, "ridge")
+    assert torch.equal(phi.encoder["w"], ENCODER["w"])
+    assert header == {"digest": digest}
+    assert digest == phi_digest(RULE) != phi_digest(GENERAL)
 
 
 def test_missing_and_newer_checkpoints_say_so(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"none.safetensors: no such checkpoint; give --checkpoint"):
-        load_checkpoint(tmp_path / "none.safetensors")
-    with pytest.raises(ValueError, match="no such checkpoint"):
-        load_checkpoint(tmp_path)
+        read_entry(tmp_path / "none.safetensors", "general")
+    with pytest.raises(ValueError, match=r"a folder, expected a checkpoint; name the \.safetensors file in it"):
+        read_headers(tmp_path)
     path = tmp_path / "start.safetensors"
-    path.write_bytes(save({"theta.x": torch.ones(1)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA + 1})}))
-    with pytest.raises(
-        ValueError, match=rf"schema {CHECKPOINT_SCHEMA + 1}, expected at most {CHECKPOINT_SCHEMA}; update metapp"
-    ):
-        load_checkpoint(path)
-
-
-def test_a_checkpoint_takes_the_encoder_of_the_general_beside_it(tmp_path: Path) -> None:
-    encoder = {"w": torch.arange(3.0)}
-    save_checkpoint(tmp_path / "general.safetensors", MetaParameters(encoder=encoder), {"app": "brdf"})
-    path, general = tmp_path / "meta.safetensors", tensor_digest(encoder)
-    save_checkpoint(path, MetaParameters(alpha={"rate": torch.ones(1)}), {"general": general})
-    assert torch.equal(load_checkpoint(path)[0].encoder["w"], encoder["w"])
-    save_checkpoint(tmp_path / "general.safetensors", MetaParameters(encoder={"w": torch.zeros(3)}), {})
-    with pytest.raises(ValueError, match=f"meta.safetensors: goes on from General {general}, which is not beside it"):
-        load_checkpoint(path)
-    for named in ("0123456789ab", 7, None, {"a": 1}):  # one that names itself
-        save_checkpoint(tmp_path / "general.safetensors", START, {"general": named})
-        with pytest.raises(ValueError, match="goes on from General"):
-            load_checkpoint(tmp_path / "general.safetensors")
-
-
-def test_a_checkpoint_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
-    """Other files beside it, such as a training checkpoint, do not count."""
-    encoder, other = {"w": torch.arange(3.0)}, {"w": torch.zeros(3)}
-    (tmp_path / "general-photo.training.safetensors").write_bytes(b"no checkpoint")
-    for name, saved_encoder in (("general", other), ("general-photo", encoder)):
-        save_checkpoint(tmp_path / f"{name}.safetensors", MetaParameters(encoder=saved_encoder), {"app": "brdf"})
-    path = tmp_path / "meta-encoder-photo.safetensors"
-    save_checkpoint(path, MetaParameters(alpha={"rate": torch.ones(1)}), {"general": tensor_digest(encoder)})
-    assert torch.equal(load_checkpoint(path)[0].encoder["w"], encoder["w"])
+    write_entry(path, "ridge", PHI, {})
+    with pytest.raises(ValueError, match=r"start.safetensors: holds ridge, expected general"):
+        read_entry(path, "general")
+    for schema, remedy in ((CHECKPOINT_SCHEMA + 1, "update metapp"), (CHECKPOINT_SCHEMA - 1, "train one again")):
+        path.write_bytes(save({"theta.x": torch.ones(1)}, {"metapp": json.dumps({"schema": schema})}))
+        with pytest.raises(ValueError, match=rf"schema {schema}, expected {CHECKPOINT_SCHEMA}; {remedy}"):
+            read_headers(path)
 
 
 def test_digests_change_with_content_and_not_with_key_order(tmp_path: Path) -> None:

@@ -22,8 +22,9 @@ from metapp.rendering.variant import find_llvm
 from metapp.runs.data_sets.embedded import has_embedded_tests
 from metapp.storage import Document
 from metapp.storage.cache_folders import make_cache_folder
+from metapp.storage.checkpoint_files import read_headers
 from metapp.storage.files import open_tensors
-from metapp.storage.shipped_checkpoints import shipped_checkpoint_names
+from metapp.storage.shipped_checkpoints import shipped_checkpoints
 
 MISSING = "missing"  # in place of the version of a package that is not installed
 REPORTED_PACKAGES = (
@@ -56,9 +57,7 @@ def examine_installation() -> Document:
     The last subject, "fails", lists the names of the subjects for which some commands fail. What a user adds where it
     is wanted does not count among these: extras of the package, a compiler, the weights of VGG.
     """
-    shipped = {
-        key: names for app in sorted(registry().applications) for key, names in shipped_checkpoint_names(app).items()
-    }
+    shipped = {app: shipped_checkpoints(app) for app in sorted(registry().applications)}
     versions = {name: _read_version(name) for name in REPORTED_PACKAGES}
     failures = ["versions"] * (MISSING in versions.values()) + ["extensions"] * bool(registry().problems)
     failures += ["checkpoints"] * (not all(shipped.values()))
@@ -80,7 +79,9 @@ def examine_installation() -> Document:
             name: "made" if has_embedded_tests(application) else "made on first use"
             for name, application in sorted(registry().applications.items())
         },
-        "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
+        "checkpoints": {
+            f"{app} {path.stem}": ", ".join(read_headers(path)) for app, paths in shipped.items() for path in paths
+        },
         "VGG": describe("VGG", _describe_vgg),
         "libLLVM": describe("libLLVM", find_llvm),
         "extras": {extra: _describe_extra(extra) for extra in EXTRAS},

@@ -32,7 +32,7 @@ from metapp.extensions.guided.histogram import (
     voxels_of_entries,
 )
 from metapp.learning.task import Params
-from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.checkpoint_files import read_entry
 
 SURVEY_CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
 ENTRY_PRIOR_PATHS = 8.0  # the mean of the entries around an entry counts as so many paths
@@ -118,7 +118,7 @@ def _index_voxels(voxels: Tensor) -> Tensor:
 def read_prior() -> Params:
     """Read the parameters of the network that ships."""
     file = Path(str(resources.files("metapp.extensions.guided"))) / "checkpoints" / "general.safetensors"
-    return load_checkpoint(file)[0].encoder
+    return read_entry(file, "general")[0].encoder
 
 
 def predict_log_densities(theta: Params, features: Tensor) -> Tensor:

@@ -15,12 +15,12 @@ from metapp.extensions.onnx_files.photographs import (
     decoder_of,
     encode_photo_model,
 )
-from metapp.runs.checkpoints import read_checkpoint
+from metapp.runs.checkpoints import GENERAL, read_checkpoint
 from metapp.runs.inputs.refusals import check_new_files
 from metapp.runs.reporter import say
 from metapp.runs.resolve import app_of, complete, recipe_of
 from metapp.runs.spec import Spec
-from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.checkpoint_files import read_headers
 from metapp.storage.files import write_bytes
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME
 
@@ -75,8 +75,9 @@ def _spec_of_general(path: Path) -> Spec:
     """
     app, recipe = path.parts[:1], "".join(path.parts[1:2]) or FULL_RECIPE_NAME
     if is_file := path.is_file():
-        record = load_checkpoint(path)[1]
-        recipe = str(record.get("recipe", FULL_RECIPE_NAME)) if record.get("app") == PHOTO_APP else FULL_RECIPE_NAME
+        headers = read_headers(path).values()
+        recipes = [str(header.get("recipe")) for header in headers if header.get("checkpoint") == GENERAL]
+        recipe = next(iter(recipes), FULL_RECIPE_NAME)
     elif app != (PHOTO_APP,) or len(path.parts) > 2:
         raise ValueError(
             f"{path}: no such file, expected a run, a checkpoint of General of photos, or the name of one that ships: "

@@ -21,9 +21,8 @@ from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_er
 from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
 from metapp.learning.task import Params
-from metapp.runs.checkpoints import read_checkpoint
-from metapp.runs.resolve import app_of, complete, recipe_of
-from metapp.runs.spec import Spec
+from metapp.storage.checkpoint_files import read_entry
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
 MAX_NUMBERED_PAIRS = 32  # pairs of directions; a picture of more pairs has no numbers
 
@@ -46,8 +45,7 @@ def plan_brdf(
     Raises:
         ValueError: no direction is within the limits.
     """
-    spec = complete(Spec(app="brdf", recipe="few", device="cpu"))
-    encoder = read_checkpoint(spec, app_of(spec), recipe_of(spec)).encoder
+    encoder = read_entry(shipped_checkpoint_path("brdf", "few"), "ridge")[0].encoder
     measured_angles = directions_to_full_rusinkiewicz(measurements.wi, measurements.wo)
     # without measurements the prior of kind 0 holds, which was learned from measured materials
     theta = (

@@ -20,15 +20,15 @@ from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
 )
 from metapp.learning.task import Params
 from metapp.networks.coded import select_reader
-from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.checkpoint_files import read_entry
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
 
 @pytest.fixture(scope="module")
 def reader() -> Params:
     """The parameters of the checkpoint's encoder."""
-    file = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
-    return {key: value.float() for key, value in select_reader(load_checkpoint(file)[0].encoder).items()}
+    file = shipped_checkpoint_path("svbrdf_nonstationary", "pretrained")
+    return select_reader(read_entry(file, "general-photo")[0].encoder)
 
 
 def marble(roughness: float, seed: int, aside: float = 0.0, height: float = camera_distance()) -> Tensor:

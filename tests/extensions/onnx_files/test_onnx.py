@@ -16,6 +16,8 @@ from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.extensions.onnx_files import brdf_model, models, photographs
 from metapp.learning.task import Params
+from metapp.runs.resolve import complete
+from metapp.runs.spec import Spec
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
 from tests.recipe_apps import recipes_of
@@ -86,8 +88,6 @@ def test_onnx_maps_agree_with_general(tmp_path: Path, metapp: Callable) -> None:
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
     from metapp.runs.fitting import Fitter
-    from metapp.runs.resolve import complete
-    from metapp.runs.spec import Spec
 
     spec = complete(Spec(app="svbrdf_nonstationary", paradigm="general", recipe="full", observe="photo", device="cpu"))
     fitter = Fitter.of(spec)
@@ -97,16 +97,16 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
 
 
 def test_fits_that_cannot_be_written_are_refused_in_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    general = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
+    general = shipped_checkpoint_path("svbrdf_nonstationary", "pretrained")
     assert "a checkpoint of General of photos, or the name of one that" in metapp("export", "texture", "onnx").error
     assert "General of several photos" in metapp("export", "svbrdf_nonstationary/several", "onnx").error
     assert "--recipe 'none'" in metapp("export", "svbrdf_nonstationary/none", "onnx").misuse
-    other = shipped_checkpoint_path("texture", "general")
+    other = shipped_checkpoint_path("texture")
     assert (
-        "a checkpoint of texture general, expected svbrdf_nonstationary general"
+        "a checkpoint of texture general, meta-basis, quickft, expected svbrdf_nonstationary general"
         in metapp("export", other, "onnx").error
     )
-    for name in ("general-photo", "svbrdf_nonstationary-pretrained"):
+    for name in ("pretrained", "svbrdf_nonstationary-pretrained"):
         Path(f"{name}.onnx").touch()
     for path in (general, "svbrdf_nonstationary/pretrained"):
         assert ".onnx: is there already" in metapp("export", path, "onnx", "--out", ".").misuse

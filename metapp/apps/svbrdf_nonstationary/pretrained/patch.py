@@ -18,7 +18,7 @@ from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.task import Params
-from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.checkpoint_files import read_entry
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
 
 SIDE_STEP_PX = 8  # sides of photographs are multiples of it, as the fourth level of features is 8 times as coarse
@@ -54,4 +54,4 @@ def describe_patch(photos: Tensor) -> Params:
 @functools.cache
 def load_full_general(device: torch.device) -> Params:
     """Load General of the recipe "full" that ships."""
-    return load_checkpoint(shipped_checkpoint_path(FULL_APP.name, "general-photo", FULL_RECIPE_NAME), device)[0].encoder
+    return read_entry(shipped_checkpoint_path(FULL_APP.name, FULL_RECIPE_NAME), "general-photo", device)[0].encoder
