@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from torch import Tensor
@@ -15,6 +16,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs import fitting
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import Fitter
+from metapp.runs.inputs.finding import Input
 from metapp.runs.outputs.fit_files import write_pictures
 from metapp.runs.stored_fits import read_fits
 from metapp.storage.fit_folders import name_with_digest
@@ -97,6 +99,26 @@ def test_fitted_inputs_are_not_fitted_again(fit: Callable, fitted_batches: list[
     assert fitted_batches == [["m1", "new"]]
     fit("--resume", "--seed", "3")
     assert fitted_batches[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
+
+
+def test_resuming_reads_no_input_whose_files_have_not_changed(
+    fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sizes and times of change are looked at first; the values only of inputs for which these differ."""
+    read, original = list[str](), Input.read_task
+
+    def read_task(one: Input, *arguments: Any) -> Task:
+        read.append(one.name)
+        return original(one, *arguments)
+
+    monkeypatch.setattr(Input, "read_task", read_task)
+    fit()
+    del read[:]
+    assert says(fit("--resume").err, "5 of 5 inputs", "skipped")
+    assert not read
+    (materials / "m3" / "b1.npy").touch()
+    assert says(fit("--resume").err, "5 of 5 inputs", "skipped")
+    assert read == ["m3"]
 
 
 def test_a_broken_file_stops_no_other(fit: Callable, fitted_batches: list[list[str]], materials: Path) -> None:
