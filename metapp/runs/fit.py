@@ -32,7 +32,7 @@ from metapp.registry import registry
 from metapp.runs.data_sets.embedded import embedded_folders
 from metapp.runs.environment import torch_defaults
 from metapp.runs.inputs.finding import content_of, data_label, find
-from metapp.runs.outputs.contact_sheet import place_side_by_side, srgb_image
+from metapp.runs.outputs.contact_sheet import Tiles, place_side_by_side, srgb_image, to_display_values
 from metapp.runs.outputs.fit_files import export_fit, export_to_new_files, render_outputs, write_pictures
 from metapp.runs.records import convert_record
 from metapp.runs.resolve import app_of, presenter_of
@@ -329,6 +329,13 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
         with torch_defaults(single=self.app.small_tensors):
             pictures, _ = render_outputs(self.spec, self.app, self.task, self.parameters)
         return {name: picture.pixels.numpy() for name, picture in pictures.items()}
+
+    @functools.cached_property
+    def tiles(self) -> Tiles:
+        """The pictures of the fit and its error, which are its row in the contact sheet of a run."""
+        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
+            pictures = to_display_values(self.presenter.tiles(self.parameters, self.task))
+        return Tiles(pictures, self.name, {"": self.error_text("error ")})
 
     def picture(self) -> Image:
         """Return a picture of PIL in 8 bits of sRGB, with the reference, if there is one, left of the fit."""

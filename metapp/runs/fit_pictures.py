@@ -1,4 +1,4 @@
-"""Rows of contact sheets that show fits: one fit with its maps, or fits of several methods beside each other."""
+"""Contact sheets that show fits of several methods beside each other."""
 
 from __future__ import annotations
 
@@ -22,13 +22,6 @@ from metapp.runs.outputs.contact_sheet import (
 from metapp.storage.fit_folders import read_params
 
 PICTURE_KEY = "picture"  # the tensor that methods without a network keep in place of parameters
-
-
-def tiles_of_fit(fit: Fit) -> Tiles:
-    """Return the pictures of a fit and the text about its error."""
-    with torch.no_grad():
-        pictures = to_display_values(fit.presenter.tiles(fit.parameters, fit.task))
-    return Tiles(pictures, fit.name, {"": fit.error_text("error ")})
 
 
 def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Fit]]) -> Tiles:

@@ -12,11 +12,10 @@ from pathlib import Path
 
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit, read_fit
-from metapp.runs.fit_pictures import tiles_of_fit
 from metapp.runs.fit_tables import mean_error
 from metapp.runs.fitting import FIT_ERRORS, FORESEEN_ERRORS, Failure, Fitter, fit_each, say_doubts
 from metapp.runs.inputs.finding import Input
-from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, SHEET_FILE_NAME, Tiles, write_run_sheet
+from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, SHEET_FILE_NAME, write_run_sheet
 from metapp.runs.outputs.fit_files import export_path
 from metapp.runs.reporter import Bar, progress, say
 from metapp.runs.spec import RunOptions, Spec
@@ -56,7 +55,6 @@ def fit_and_keep(
             return fit if fit and fit.spec.document() == spec.document() else None
         return None
 
-    shown: list[Tiles | tuple[Input, Fit]] = []  # the first fits; earlier ones are read once the sheet is drawn
     fits: list[Fit] = []
     remaining = {id(one): one for one in inputs}
     with progress(fitters[0].spec.paradigm, len(inputs), long=len(inputs) > 1, quiet=options.quiet) as bar:
@@ -65,10 +63,9 @@ def fit_and_keep(
             del remaining[id(one)]
             outcome, failures = result, list[Failure]()
             if isinstance(result, Fit) and not result.is_earlier:
-                outcome, failures = _keep(one, result, run_folder, options, shown, bar)
+                outcome, failures = _keep(one, result, run_folder, options, bar, on_sheet=len(fits) < MAX_SHEET_ROWS)
             if isinstance(outcome, Fit):
                 fits.append(outcome)
-                shown += [(one, outcome)] * (outcome.is_earlier and len(shown) < MAX_SHEET_ROWS)
                 state = "fitted before" if outcome.is_earlier else f"{outcome.seconds:.4f} s"
                 bar.advance(", ".join(filter(None, (outcome.name, outcome.error_text("error "), state))))
             else:
@@ -80,17 +77,13 @@ def fit_and_keep(
                 break
         for one in remaining.values():
             yield Failure.of(one, ValueError(f"not fitted, since the disk is full: {run_folder}"))
-    if any(isinstance(item, Tiles) for item in shown) or (shown and not (run_folder / SHEET_FILE_NAME).is_file()):
-        _write_contact_sheet(shown, fits, run_folder)
+    shown = fits[:MAX_SHEET_ROWS]
+    if any(not fit.is_earlier for fit in shown) or (shown and not (run_folder / SHEET_FILE_NAME).is_file()):
+        _write_contact_sheet(fits, run_folder)
 
 
 def _keep(
-    one: Input,
-    fit: Fit,
-    run_folder: Path,
-    options: RunOptions,
-    shown: list[Tiles | tuple[Input, Fit]],
-    bar: Bar,
+    one: Input, fit: Fit, run_folder: Path, options: RunOptions, bar: Bar, *, on_sheet: bool
 ) -> tuple[Fit | Failure, list[Failure]]:
     """Write a fit and its exports, and draw it for the contact sheet.
 
@@ -99,8 +92,8 @@ def _keep(
         fit: its fit.
         run_folder: the folder of the run.
         options: the options of the command.
-        shown: the first fits, to which the pictures of this one are added.
         bar: the progress of the run.
+        on_sheet: whether the contact sheet shows the fit.
 
     Returns:
         The fit, or a failure in its place; and a failure for each export that could not be written.
@@ -114,7 +107,7 @@ def _keep(
             fit.keep(run_folder, lambda folder: remarks.extend(fit.draw(folder)))
             for line in remarks:
                 say(line)
-            shown += [tiles_of_fit(fit)] if len(shown) < MAX_SHEET_ROWS else []
+            _ = fit.tiles if on_sheet else None  # drawn now, while the task is in memory
             for form in options.exports:
                 bar.set_label(f"{fit.name}: {form}", DRAWN_TIME_SHARE)
                 path = export_path(fit.folder, form)
@@ -133,7 +126,7 @@ def _keep(
     return fit, failures
 
 
-def _write_contact_sheet(shown: Sequence[Tiles | tuple[Input, Fit]], fits: Sequence[Fit], run_folder: Path) -> None:
+def _write_contact_sheet(fits: Sequence[Fit], run_folder: Path) -> None:
     """Write the contact sheet of a run into its folder, with those MAX_SHEET_ROWS fits that were done first.
 
     A sheet that cannot be written is said, and the report of the run goes on.
@@ -142,20 +135,6 @@ def _write_contact_sheet(shown: Sequence[Tiles | tuple[Input, Fit]], fits: Seque
     if mean is not None and len(fits) > 1:
         title += f": mean error{fits[0].app.error_measure.factor} {mean:.3f} of {len(fits)} fits"
     try:
-        tiles = [item if isinstance(item, Tiles) else _draw_earlier(*item) for item in shown]
-        write_run_sheet(tiles, title, run_folder)
+        write_run_sheet([fit.tiles for fit in fits[:MAX_SHEET_ROWS]], title, run_folder)
     except (OSError, ValueError) as error:
         say(f"warning: {error_text(error)}")
-
-
-def _draw_earlier(one: Input, fit: Fit) -> Tiles:
-    """Return the pictures of an earlier fit; its input is read again.
-
-    Raises:
-        ValueError: the input or the parameters of the fit are damaged.
-    """
-    with torch_defaults(single=fit.app.small_tensors):
-        fit.task = one.read_task(fit.spec, fit.app)
-        tiles = tiles_of_fit(fit)
-    fit.forget()
-    return tiles
