@@ -8,6 +8,7 @@ option answer at once.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.util
 import re
@@ -74,12 +75,12 @@ class Spec:
     conditions: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
-    @property
+    @functools.cached_property
     def application(self) -> Application:
         """The application, with its recipes, formats and exports."""
         return registry().applications[self.app]
 
-    @property
+    @functools.cached_property
     def app_options(self) -> AppOptions:
         """The application's own options.
 
