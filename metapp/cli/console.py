@@ -62,8 +62,8 @@ def shorten_to_line(message: str) -> str:
 def _shorten_path(path: str) -> str:
     """Return the end of a long path, which tells most, from the beginning of a folder's name if that is near.
 
-    >>> _shorten_path("/home/somebody/projects/metapp/.venv/metapp/checkpoints/brdf/general.safetensors")
-    '.../metapp/checkpoints/brdf/general.safetensors'
+    >>> _shorten_path("/home/somebody/projects/metapp/.venv/metapp/checkpoints/brdf/quick.safetensors")
+    '.../metapp/checkpoints/brdf/quick.safetensors'
     """
     end = path[-MAX_PATH_CHARACTERS:]
     return f"...{end[max(0, end.find('/')) :]}"
