@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from metapp.entries import Entries, Lazy, SetOnce
+from metapp.entries import Lazy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -369,7 +369,7 @@ NO_PRESENTER: Lazy[type[Any]] = Lazy("metapp.appearance.presenter:Presenter")
 
 
 @dataclass(kw_only=True, eq=False)
-class Application(SetOnce):
+class Application:
     """All that metapp knows of an application. Extensions add entries to its tables, and set references that are None.
 
     Attributes:
@@ -413,27 +413,13 @@ class Application(SetOnce):
     synthetic: SyntheticSet | None = None
     page: Lazy[ViewFit] | None = None
     examples: Lazy[Sequence[tuple[str, str]]] | None = None
-    recipes: Entries[RecipeEntry] = field(init=False)
-    formats: Entries[Format] = field(init=False)
-    exports: Entries[Export] = field(init=False)
-    baselines: Entries[Lazy[MakeBaselines]] = field(init=False)
-    merges: Entries[Lazy[MergeInputs]] = field(init=False)
-    outputs: Entries[Lazy[RenderFit]] = field(init=False)
-    networks: Entries[Lazy[Any]] = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Make the tables, without entries."""
-        self.recipes = Entries(RecipeEntry, f"recipes of {self.name}", pairs=True)
-        self.formats = Entries(Format, f"formats of {self.name}")
-        self.exports = Entries(Export, f"exports of {self.name}")
-        self.baselines = Entries(Lazy, f"baselines of {self.name}")
-        self.merges = Entries(Lazy, f"merges of {self.name}")
-        self.outputs = Entries(Lazy, f"outputs of {self.name}")
-        self.networks = Entries(Lazy, f"networks of {self.name}")
-
-    def all_entries(self) -> Iterator[Entries[Any]]:
-        """Yield the entries of each kind that the application has."""
-        return (value for value in vars(self).values() if isinstance(value, Entries))
+    recipes: dict[str | tuple[str, str], RecipeEntry] = field(default_factory=dict)
+    formats: dict[str, Format] = field(default_factory=dict)
+    exports: dict[str, Export] = field(default_factory=dict)
+    baselines: dict[str, Lazy[MakeBaselines]] = field(default_factory=dict)
+    merges: dict[str, Lazy[MergeInputs]] = field(default_factory=dict)
+    outputs: dict[str, Lazy[RenderFit]] = field(default_factory=dict)
+    networks: dict[str, Lazy[Any]] = field(default_factory=dict)
 
     def named_recipes(self) -> Iterator[tuple[str, str, RecipeEntry]]:
         """Yield what fits observe, "" if all observe the same, the name and the entry of each recipe."""

@@ -20,5 +20,5 @@ from __future__ import annotations
 import metapp.rendering.jit  # noqa: F401  (chooses a libLLVM that works)
 from metapp.registry import registry
 
-for register in registry().plugins.load_all().values():
+for register in registry().load_all("plugins").values():
     register()

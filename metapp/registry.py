@@ -17,12 +17,13 @@ import importlib.metadata
 import importlib.util
 import math
 import os
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from metapp.application import Application, Format
-from metapp.entries import METAPP_PACKAGE, Entries, Lazy, SetOnce, describe_error, did_you_mean, registering
+from metapp.application import Application, Export, Format, RecipeEntry
+from metapp.entries import Lazy, describe_error, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
     SceneDict = dict[str, Any]  # a scene of Mitsuba as JSON holds it
 
+METAPP_PACKAGE = "metapp"  # the package whose entries must be there; entries of other packages may be left out
 ENTRY_POINT_GROUP = "metapp.extensions"  # group of the entry points that name extensions
 CORE_MODULE = "metapp.contents"  # module that registers the core
 WITHOUT_VARIABLE = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
@@ -201,24 +203,23 @@ class Plugin(Lazy[Callable[[], None]]):
     integrator: str = ""
 
 
-@dataclass(kw_only=True, eq=False)
-class Hooks(SetOnce):
-    """Functions that the core calls if an extension sets them.
-
-    Attributes:
-        steps: makes the steps of fits and of outer loops, faster than torch where it can.
-        scene: checks the scenes of data sets.
-        name: the name of the object, with which errors begin.
-    """
-
-    steps: Lazy[MakeSteps] | None = None
-    scene: Lazy[CheckScene] | None = None
-    name: str = "hooks"
+KINDS: dict[str, type] = {  # the type of the entries of a table by its name; of all others Lazy
+    "applications": Application,
+    "commands": Command,
+    "exports": Export,
+    "file_exports": FileExport,
+    "formats": Format,
+    "measures": Measure,
+    "plugins": Plugin,
+    "recipes": RecipeEntry,
+    "tables": TableEntry,
+}
+HOOKS = ("steps", "scene")  # the names that hooks may have: those that the core calls
 
 
 @dataclass(frozen=True)
 class Registry:
-    """Tables of entries by name.
+    """Tables of entries by name, each of which can be set once.
 
     Attributes:
         applications: applications by name; each has tables of its own.
@@ -229,24 +230,28 @@ class Registry:
         tables: tables of `metapp evaluate`.
         commands: commands by the words after `metapp`.
         methods: functions that become methods of fits in the Python API.
-        hooks: functions that the core calls if an extension sets them.
+        hooks: functions that the core calls if an extension sets them: `steps` makes the steps of fits and of outer
+            loops, a :class:`MakeSteps`; `scene` checks the scenes of data sets, a :class:`CheckScene`.
         extensions: the package of each extension, by the extension's name.
+        owners: the package of each entry that another package than metapp has set, by the title of its table and its
+            key.
         problems: why some extensions cannot be used, by "NAME of PACKAGE".
 
     >>> registry().rules["meta-sgd"]
     Lazy(reference='metapp.learning.rules.named_rules:META_SGD')
     """
 
-    applications: Entries[Application] = field(default_factory=lambda: Entries(Application, "applications"))
-    rules: Entries[Lazy[LearnedRule]] = field(default_factory=lambda: Entries(Lazy, "rules"))
-    file_exports: Entries[FileExport] = field(default_factory=lambda: Entries(FileExport, "file_exports"))
-    plugins: Entries[Plugin] = field(default_factory=lambda: Entries(Plugin, "plugins"))
-    measures: Entries[Measure] = field(default_factory=lambda: Entries(Measure, "measures"))
-    tables: Entries[TableEntry] = field(default_factory=lambda: Entries(TableEntry, "tables"))
-    commands: Entries[Command] = field(default_factory=lambda: Entries(Command, "commands"))
-    methods: Entries[Lazy[FitMethod]] = field(default_factory=lambda: Entries(Lazy, "methods"))
-    hooks: Hooks = field(default_factory=Hooks)
+    applications: dict[str, Application] = field(default_factory=dict)
+    rules: dict[str, Lazy[LearnedRule]] = field(default_factory=dict)
+    file_exports: dict[str, FileExport] = field(default_factory=dict)
+    plugins: dict[str, Plugin] = field(default_factory=dict)
+    measures: dict[str, Measure] = field(default_factory=dict)
+    tables: dict[str, TableEntry] = field(default_factory=dict)
+    commands: dict[str, Command] = field(default_factory=dict)
+    methods: dict[str, Lazy[FitMethod]] = field(default_factory=dict)
+    hooks: dict[str, Lazy[Any]] = field(default_factory=dict)
     extensions: dict[str, str] = field(default_factory=dict)
+    owners: dict[tuple[str, Any], str] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
 
     def add(self, application: Application) -> None:
@@ -288,16 +293,45 @@ class Registry:
                 return application, application.formats[name]
         raise KeyError(name)
 
-    def all_entries(self) -> Iterator[Entries[Any]]:
-        """Yield the entries of each kind: the registry's, then each application's."""
-        yield from (entries for entries in vars(self).values() if isinstance(entries, Entries))
-        for application in self.applications.values():
-            yield from application.all_entries()
+    def all_tables(self) -> dict[str, dict[Any, Any]]:
+        """Return all tables by title, such as "commands" and "recipes of brdf", and the fields of applications."""
+        kept = ("extensions", "owners", "problems")
+        result = {name: table for name, table in vars(self).items() if name not in kept}
+        for name, application in self.applications.items():
+            attributes = vars(application)
+            result |= {f"{key} of {name}": table for key, table in attributes.items() if isinstance(table, dict)}
+            result[f"fields of {name}"] = attributes
+        return result
 
-    def each_entry(self) -> Iterator[tuple[str, Any, Any]]:
-        """Yield each entry after the title of its kind and its key."""
-        for entries in self.all_entries():
-            yield from ((entries.title, key, entry) for key, entry in entries.items())
+    def owner(self, title: str, key: object) -> str:
+        """Return the package that has set an entry.
+
+        Args:
+            title: the title of its table, see :meth:`all_tables`.
+            key: its name.
+        """
+        return self.owners.get((title, key), METAPP_PACKAGE)
+
+    def load_all(self, title: str) -> dict[Any, Any]:
+        """Load the objects of all entries of a table, by name.
+
+        Entries of other packages that cannot be loaded are left out with a warning.
+
+        Args:
+            title: the title of the table, see :meth:`all_tables`.
+
+        Raises:
+            ImportError: an entry of metapp itself cannot be loaded.
+        """
+        objects = {}
+        for name, entry in self.all_tables()[title].items():
+            try:
+                objects[name] = entry.load()
+            except ImportError as error:
+                if (owner := self.owner(title, name)) == METAPP_PACKAGE:
+                    raise
+                warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
+        return objects
 
 
 def registry() -> Registry:
@@ -313,55 +347,82 @@ def _build_registry(without: str) -> Registry:
     points = [(_package_name(point.dist), point) for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)]
     points = [(package, point) for package, point in points if point.name not in left_out]
     for package, point in sorted(points, key=lambda pair: (pair[0] != METAPP_PACKAGE, pair[0], pair[1].value)):
-        kept = None if package == METAPP_PACKAGE else _copy_dictionaries(result)
+        is_of_others = package != METAPP_PACKAGE
+        before = {title: (table, dict(table)) for title, table in result.all_tables().items()} if is_of_others else {}
         try:
-            with registering(package):
-                (point.load() if point.attr else point.load().register)(result)
-            if kept is not None:
-                _check_entries_of(package, result)
+            (point.load() if point.attr else point.load().register)(result)
+            if is_of_others:
+                _check_entries(package, result, {title: entries for title, (_, entries) in before.items()})
             result.extensions[point.name] = package
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever the module of another package does, the rest of metapp works
-            if kept is None:
+            if not is_of_others:
                 raise
-            for dictionary, content in kept:
-                dictionary.clear()
-                dictionary.update(content)
+            for table, entries in before.values():
+                table.clear()
+                table.update(entries)
             result.problems[f"{point.name} of {package}"] = describe_error(error)
     return result
 
 
-def _copy_dictionaries(registry: Registry) -> list[tuple[dict[Any, Any], dict[Any, Any]]]:
-    """Return all dictionaries that an extension may change, each with a copy of its content."""
-    dictionaries = [vars(registry.hooks), *(vars(application) for application in registry.applications.values())]
-    for table in registry.all_entries():
-        dictionaries += [table.data, table.owners]
-    return [(dictionary, dict(dictionary)) for dictionary in dictionaries]
+def _check_entries(package: str, registry: Registry, before: Mapping[str, Mapping[Any, Any]]) -> None:
+    """Check the entries that a package has added, and note that they are the package's.
 
-
-def _check_entries_of(package: str, registry: Registry) -> None:
-    """Check the entries of a package of others: modules exist, commands are functions, recipes suit different inputs.
+    Args:
+        package: the name of the package.
+        registry: the registry, with the entries.
+        before: all tables as they were without the package, by title.
 
     Raises:
         ImportError: a module is missing, or a command cannot be loaded.
-        TypeError: a command is not a function.
-        ValueError: two recipes suit equal facts.
+        TypeError: an entry has another type than its table holds, its key is no name, or a command is no function.
+        ValueError: an entry has been there before, a hook or a field does not exist, or two recipes suit equal facts.
     """
-    references = [
-        entry for table in registry.all_entries() for key, entry in table.items() if table.owners[key] == package
-    ]
-    for owner in (registry.hooks, *registry.applications.values()):
-        references += [value for value in vars(owner).values() if isinstance(value, Lazy)]
-    for entry in references:
-        for reference in _references_in(entry):
-            if importlib.util.find_spec(reference.partition(":")[0]) is None:
-                raise ImportError(f"{reference}: no such module")
-    for key, command in registry.commands.items():
-        if registry.commands.owners[key] == package and not callable(command.load()):
-            raise TypeError(f"commands {key}: {command.reference} is not a function")
+    new: dict[tuple[str, Any], str] = {}
+    for title, table in registry.all_tables().items():
+        earlier = before.get(title, {})
+        for key, entry in table.items():
+            if earlier.get(key) is entry or entry is None:
+                continue
+            if earlier.get(key) is not None:
+                owner = registry.owner(title, key)
+                raise ValueError(f"{title} {key}: registered by {package}, but {owner} has registered it already")
+            _check_entry(title, key, entry)
+            for reference in _references_in(entry):
+                if importlib.util.find_spec(reference.partition(":")[0]) is None:
+                    raise ImportError(f"{reference}: no such module")
+            if title == "commands" and not callable(entry.load()):
+                raise TypeError(f"commands {key}: {entry.reference} is not a function")
+            new[title, key] = package
     for application in registry.applications.values():
-        _require_different_inputs(application)
+        _require_different_inputs(application, {**registry.owners, **new})
+    registry.owners.update(new)
+
+
+def _check_entry(title: str, key: Any, entry: object) -> None:
+    """Check the name and the type of an entry.
+
+    Args:
+        title: the title of its table.
+        key: its name.
+        entry: the entry.
+
+    Raises:
+        TypeError: the key is no name, or the entry has another type.
+        ValueError: there is no such hook, or no such field of an application.
+    """
+    name = title.split()[0]
+    may_be_pair = name == "recipes" and isinstance(key, tuple) and len(key) == 2
+    if not all(isinstance(word, str) and word for word in (key if may_be_pair else (key,))):
+        raise TypeError(f"{title} {key!r}: expected a name{' or a pair of names' if name == 'recipes' else ''}")
+    names = {"hooks": HOOKS, "fields": [field.name for field in fields(Application)]}.get(name, [key])
+    if key not in names:
+        raise ValueError(f"{title} {key}: expected one of {', '.join(names)}")
+    kind = KINDS.get(name, Lazy)
+    if name != "fields" and not isinstance(entry, kind):
+        words = key if may_be_pair else (key,)
+        raise TypeError(f"{' '.join((title, *words))}: a {type(entry).__name__}, expected {kind.__name__}")
 
 
 def _references_in(entry: object) -> Iterator[str]:
@@ -373,22 +434,28 @@ def _references_in(entry: object) -> Iterator[str]:
             yield from _references_in(value)
 
 
-def _require_different_inputs(application: Application) -> None:
+def _require_different_inputs(application: Application, owners: Mapping[tuple[str, Any], str]) -> None:
     """Refuse two recipes that would be chosen for inputs of equal facts.
+
+    Args:
+        application: the application.
+        owners: the packages of entries, see :class:`Registry`.
 
     Raises:
         ValueError: there are two; the message names the packages that registered them.
     """
-    owners: dict[str, str] = {}
+    registered: dict[str, str] = {}
     for (observation, _, entry), key in zip(application.named_recipes(), application.recipes, strict=True):
-        owner = application.recipes.owners[key]
+        owner = owners.get((f"recipes of {application.name}", key), METAPP_PACKAGE)
         if entry.suits:
             facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
             words = (f"recipes of {application.name}", observation, f"for inputs of {facts}")
             subject = " ".join(filter(None, words))
-            if subject in owners:
-                raise ValueError(f"{subject}: registered by {owner}, but {owners[subject]} has registered it already")
-            owners[subject] = owner
+            if subject in registered:
+                raise ValueError(
+                    f"{subject}: registered by {owner}, but {registered[subject]} has registered it already"
+                )
+            registered[subject] = owner
 
 
 @functools.cache  # each access to a distribution's name parses its metadata

@@ -13,9 +13,11 @@ from pathlib import Path
 import pytest
 
 from metapp import application as contracts
+from metapp import contents as core
 from metapp import registry as module
 from metapp.application import Export
-from metapp.entries import Entries, Lazy
+from metapp.entries import Lazy
+from metapp.extensions import contents
 from metapp.registry import WITHOUT_VARIABLE, Registry, registry
 
 ROOT = Path(__file__).parent.parent
@@ -37,12 +39,10 @@ BROKEN = {
         "ValueError: exports of brdf glsl: registered by stranger, but metapp has registered it already"
     ),
     'brdf.exports.update({"glsl": Export("math:gcd")})': "but metapp has registered it already",
-    'brdf.page = Lazy("math:gcd")': "ValueError: page of brdf: is set already",
-    'registry.tables["strange"] = TableEntry("math:lcm")': (
-        "ValueError: tables strange: registered by stranger, but stranger has registered it already"
-    ),
-    'registry.hooks.steps = Lazy("math:gcd")': "ValueError: steps of hooks: is set already",
-    'registry.hooks.stepps = Lazy("math:gcd")': "AttributeError: stepps of hooks: there is no such field",
+    'brdf.page = Lazy("math:gcd")': "ValueError: fields of brdf page: registered by stranger, but metapp has",
+    'brdf.pages = Lazy("math:gcd")': "ValueError: fields of brdf pages: expected one of name, title, help",
+    'registry.hooks["steps"] = Lazy("math:gcd")': "ValueError: hooks steps: registered by stranger, but metapp has",
+    'registry.hooks["stepps"] = Lazy("math:gcd")': "ValueError: hooks stepps: expected one of steps, scene",
     'registry.rules["ridge"] = Lazy("math:gcd")': (
         "ValueError: rules ridge: registered by stranger, but metapp has registered it"
     ),
@@ -59,7 +59,7 @@ BROKEN = {
     ),
     'brdf.exports["mine", "yours"] = Export("math:gcd")': "TypeError: exports of brdf ('mine', 'yours'): expected",
     'registry.tables[""] = TableEntry("math:gcd")': "TypeError: tables '': expected a name",
-    "brdf.exports = {}": "ValueError: exports of brdf: is set already",
+    "brdf.exports = {}": "ValueError: fields of brdf exports: registered by stranger, but metapp has",
     "registry.commands = {}": "FrozenInstanceError: cannot assign to field 'commands'",
     "registry.steps = 7": "FrozenInstanceError: cannot assign to field 'steps'",
     "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
@@ -117,7 +117,7 @@ def test_another_package_adds_its_entries(
     loaded_registry = install_packages()
     assert loaded_registry is registry()
     assert loaded_registry.problems == {}
-    assert loaded_registry.extensions["stranger"] == loaded_registry.tables.owners["strange"] == "stranger"
+    assert loaded_registry.extensions["stranger"] == loaded_registry.owner("tables", "strange") == "stranger"
     assert loaded_registry.tables["strange"].load()(12, 18) == 6
     assert list(loaded_registry.tables)[-1] == "strange"  # what ships comes first
 
@@ -130,7 +130,7 @@ def test_a_broken_extension_is_left_out_as_a_whole(
     loaded_registry = install_packages(text)
     assert reason.format(name="stranger_module") in loaded_registry.problems.pop("stranger of stranger")
     assert loaded_registry.problems == {}
-    assert repr(list(loaded_registry.each_entry())) == repr(list(before.each_entry()))
+    assert repr(loaded_registry.all_tables()) == repr(before.all_tables())
     assert "stranger" not in loaded_registry.extensions
 
 
@@ -140,7 +140,7 @@ def test_of_two_packages_with_one_name_the_second_is_left_out(install_packages: 
     assert loaded_registry.problems == {
         "b of b": "ValueError: tables strange: registered by b, but a has registered it already"
     }
-    assert loaded_registry.tables.owners["strange"] == "a"
+    assert loaded_registry.owner("tables", "strange") == "a"
 
 
 def test_ctrl_c_is_no_error_of_an_extension(install_packages: Callable[..., Registry]) -> None:
@@ -197,13 +197,24 @@ def test_entries_of_other_packages_that_cannot_be_loaded_are_left_out_with_a_war
     with pytest.warns(
         UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
     ):
-        assert list(networks.load_all()) == list(networks)[:-1]
+        assert list(loaded_registry.load_all("networks of brdf")) == list(networks)[:-1]
 
 
 def test_all_entries_that_ship_can_be_loaded() -> None:
-    for _, _, entry in registry().each_entry():
-        for reference in module._references_in(entry):
-            assert Lazy(reference).load() is not None
+    for table in registry().all_tables().values():
+        for entry in table.values():
+            for reference in module._references_in(entry):
+                assert Lazy(reference).load() is not None
+
+
+def test_no_two_entries_that_ship_have_one_name() -> None:
+    """Entries of metapp itself are not checked when the registry is built, since every command would wait for it."""
+    result = Registry()
+    for register in (core.register, *(getattr(contents, name) for name in registry().extensions)):
+        before = {title: dict(table) for title, table in result.all_tables().items()}
+        register(result)
+        module._check_entries(module.METAPP_PACKAGE, result, before)
+    assert result.all_tables().keys() == registry().all_tables().keys()
 
 
 # Entries of formats, exports and objects
@@ -260,7 +271,7 @@ def test_functions_take_the_arguments_of_their_contracts(field: str) -> None:
     words = [parameter.name for parameter in passed if parameter.kind is parameter.POSITIONAL_ONLY][1:]  # after self
     assert words
     values = [getattr(owner, field, None) for owner in (registry(), *registry().applications.values())]
-    tables = [table.values() for table in values if isinstance(table, Entries)]
+    tables = [table.values() for table in values if isinstance(table, dict)]
     entries = [*(entry for table in tables for entry in table), *(entry for entry in values if isinstance(entry, Lazy))]
     assert entries
     for entry in entries:
@@ -269,10 +280,9 @@ def test_functions_take_the_arguments_of_their_contracts(field: str) -> None:
 
 def test_hooks_take_the_arguments_of_their_contracts() -> None:
     hooks = registry().hooks
-    assert hooks.steps
-    assert hooks.scene
-    inspect.signature(hooks.steps.load()).bind("rule", "loss", "theta", 2, compiles=True)
-    inspect.signature(hooks.scene.load()).bind("scene")
+    assert list(hooks) == list(module.HOOKS)
+    inspect.signature(hooks["steps"].load()).bind("rule", "loss", "theta", 2, compiles=True)
+    inspect.signature(hooks["scene"].load()).bind("scene")
 
 
 @pytest.mark.parametrize("app", registry().applications)

@@ -16,9 +16,9 @@ from metapp import __version__
 from metapp.application import Application
 from metapp.cli.data import make_convert_command
 from metapp.cli.help import HelpCommand, HelpGroup
-from metapp.entries import METAPP_PACKAGE, describe_error, did_you_mean
+from metapp.entries import describe_error, did_you_mean
 from metapp.options import BadOption, Converter
-from metapp.registry import registry
+from metapp.registry import METAPP_PACKAGE, registry
 from metapp.runs.reporter import say
 from metapp.runs.spec import application_named
 
@@ -90,7 +90,7 @@ def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
         try:
             return _make_command(registry().commands[f"{prefix}{name}"].load(), name, bare_is_help=bool(prefix))
         except Exception as error:
-            owner = registry().commands.owners[f"{prefix}{name}"]
+            owner = registry().owner("commands", f"{prefix}{name}")
             if owner == METAPP_PACKAGE:
                 raise
             registry().problems[f"{prefix}{name} of {owner}"] = describe_error(error)

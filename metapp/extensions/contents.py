@@ -130,7 +130,7 @@ def mitsuba_bsdfs(registry: Registry) -> None:
 
 def native(registry: Registry) -> None:
     """Register steps of learning in C, and compiled by torch, and gradients of outer steps of Meta-SGD in C."""
-    registry.hooks.steps = Lazy(f"{_HERE}.native.step_choice:choose_steps")
+    registry.hooks["steps"] = Lazy(f"{_HERE}.native.step_choice:choose_steps")
 
 
 def onnx_files(registry: Registry) -> None:
@@ -182,7 +182,7 @@ def scene_files(registry: Registry) -> None:
         is_self_contained=False,
     )
     transport.read_object = Lazy(f"{here}.scene_reader:task_of_object")
-    registry.hooks.scene = Lazy(f"{here}.scene_reader:check_stored_scene")
+    registry.hooks["scene"] = Lazy(f"{here}.scene_reader:check_stored_scene")
 
 
 def shaders(registry: Registry) -> None:

@@ -217,5 +217,5 @@ def fastest_steps(*, compiles: bool = False) -> StepMaker:
     Args:
         compiles: whether the steps are so many that compiling them pays.
     """
-    entry = registry().hooks.steps
+    entry = registry().hooks.get("steps")
     return functools.partial(entry.load(), compiles=compiles) if entry else torch_steps

@@ -226,9 +226,7 @@ def test_outer_losses_are_of_the_half_that_fits_do_not_see(data: Params, rng: Ge
 # The protocol of the networks of BRDFs, and how parameters tell which one they belong to
 
 
-each_network = pytest.mark.parametrize(
-    "network", registry().applications["brdf"].networks.load_all().values(), ids=repr
-)
+each_network = pytest.mark.parametrize("network", registry().load_all("networks of brdf").values(), ids=repr)
 
 
 @each_network

@@ -158,5 +158,7 @@ def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, 
 @pytest.mark.parametrize("app", APPS)
 def test_missing_weights_are_said_before_the_features_that_checkpoints_need(app: str, metapp: Callable) -> None:
     refusal = metapp("general", app, write_noise_photo(Path("wall.png"), 9, 40)).refusal
-    assert says(refusal, "weights of VGG-16 are missing", "metapp data vgg", "expected VGG-16 features", "full.safetensors")
+    assert says(
+        refusal, "weights of VGG-16 are missing", "metapp data vgg", "expected VGG-16 features", "full.safetensors"
+    )
     assert refusal.index("metapp data vgg") < refusal.index("expected")

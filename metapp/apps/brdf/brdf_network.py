@@ -252,7 +252,7 @@ def find_network(theta: Params) -> BrdfNetwork:
     Raises:
         ValueError: no registered network has parameters of these names.
     """
-    for network in registry().applications["brdf"].networks.load_all().values():
+    for network in registry().load_all("networks of brdf").values():
         if parameter_shapes(network).keys() == theta.keys():
             result: BrdfNetwork = network
             return result

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from metapp.registry import registry
+
 if TYPE_CHECKING:
     from metapp.application import Application
     from metapp.extensions.baselines.baseline import Baseline
@@ -23,5 +25,5 @@ def baselines_of(application: Application, app: App) -> tuple[Baseline, ...]:
         application: the application.
         app: its network and sizes, at the recipe of the fits that methods are compared with.
     """
-    functions = dict.fromkeys(application.baselines.load_all().values())
+    functions = dict.fromkeys(registry().load_all(f"baselines of {application.name}").values())
     return tuple(method for function in functions for method in function(app))

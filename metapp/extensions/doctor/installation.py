@@ -16,8 +16,7 @@ import torch
 from safetensors import SafetensorError
 
 from metapp.appearance.features import vgg_weights_path
-from metapp.entries import METAPP_PACKAGE
-from metapp.registry import WITHOUT_VARIABLE, registry
+from metapp.registry import METAPP_PACKAGE, WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
 from metapp.runs.data_sets.embedded import has_embedded_tests
 from metapp.storage import Document

@@ -55,7 +55,7 @@ def check_scene(scene: SceneDict) -> SceneDict:
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
-    if entry := registry().hooks.scene:
+    if entry := registry().hooks.get("scene"):
         result: SceneDict = entry.load()(scene)
         return result
     if "xml" in scene:
