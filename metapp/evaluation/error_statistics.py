@@ -7,7 +7,7 @@ would count as independent. The module knows errors by task name alone, neither 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,31 +18,38 @@ MIN_TASK_GROUPS = 5  # groups of tasks; a bootstrap over fewer groups says nothi
 BOOTSTRAP_DRAWS = 4000  # sets of groups, each drawn with replacement
 
 
-def bootstrap_sums(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.ndarray:
-    """Sum values over tasks that are drawn with replacement, BOOTSTRAP_DRAWS times, from a fixed seed.
+def bootstrap_interval(
+    statistic: Callable[..., np.ndarray], columns: Sequence[Sequence[float]], groups: Sequence[str]
+) -> tuple[float, float]:
+    """Return the 95 % interval of a statistic of sums over tasks, which are drawn with replacement from a fixed seed.
 
-    Groups are drawn, not tasks: tasks of one group are drawn together.
+    Groups are drawn, not tasks: tasks of one group are drawn together. It is the percentile interval.
 
     Args:
+        statistic: returns the statistic, [...], given the sums of each column, K arrays [...].
         columns: K columns of values of the same N tasks, [K, N].
         groups: the group of each task, [N].
 
-    Returns:
-        The sums of each column, [K, BOOTSTRAP_DRAWS].
+    >>> bootstrap_interval(lambda sums, counts: sums / counts, [[1.0, 3.0], [1.0, 1.0]], ["a", "b"])
+    (1.0, 3.0)
     """
+    from scipy.stats import bootstrap  # imported here, as it takes as long as the rest of a table of earlier fits
+
     group_numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
     task_groups = [group_numbers[group] for group in groups]
-    drawn_groups = np.random.default_rng(0).integers(len(group_numbers), size=(BOOTSTRAP_DRAWS, len(group_numbers)))
-    return np.stack([np.bincount(task_groups, values)[drawn_groups].sum(1) for values in columns])
-
-
-def central_interval(values: np.ndarray) -> tuple[float, float]:
-    """Return the two values between which the central 95 % of all values lie.
-
-    >>> central_interval(np.arange(101.0))
-    (2.5, 97.5)
-    """
-    low, high = np.quantile(values, (0.025, 0.975))
+    sums_by_group = [np.bincount(task_groups, values) for values in columns]
+    if len(sums_by_group[0]) < 2:  # every draw is the one group
+        value = float(statistic(*(sums[0] for sums in sums_by_group)))
+        return value, value
+    low, high = bootstrap(
+        sums_by_group,
+        lambda *drawn, axis: statistic(*(sums.sum(axis) for sums in drawn)),
+        n_resamples=BOOTSTRAP_DRAWS,
+        vectorized=True,
+        paired=True,
+        method="percentile",
+        rng=0,
+    ).confidence_interval
     return float(low), float(high)
 
 
@@ -63,8 +70,8 @@ def summarise_errors(errors: ErrorsByTask, groups: Mapping[str, str]) -> dict[st
     if not errors:
         return dict.fromkeys(("error", "median", "worst", "low", "high"))
     values = list(errors.values())
-    sums, counts = bootstrap_sums([values, [1.0] * len(values)], [groups[name] for name in errors])
-    low, high = central_interval(sums / counts)
+    columns = [values, [1.0] * len(values)]
+    low, high = bootstrap_interval(lambda sums, counts: sums / counts, columns, [groups[name] for name in errors])
     return {
         "error": statistics.fmean(values),
         "median": statistics.median(values),
@@ -133,16 +140,21 @@ def compare_errors(
         return None
     first, second = [one[name] for name in names], [other[name] for name in names]
     task_groups = [groups[name] for name in names]
-    sums, other_sums, counts = bootstrap_sums([first, second, [1.0] * len(names)], task_groups)
+    columns = [first, second, [1.0] * len(names)]
     if logarithmic:
-        value, draws = statistics.fmean(first) - statistics.fmean(second), (sums - other_sums) / counts
-    elif min(second) < 0 or not other_sums.all():
+        value = statistics.fmean(first) - statistics.fmean(second)
+        interval = bootstrap_interval(lambda sums, others, counts: (sums - others) / counts, columns, task_groups)
+    elif min(second) < 0 or not sum(second):
         return None
     else:
-        value, draws = sum(first) / sum(second), sums / other_sums
+        value = sum(first) / sum(second)
+        with np.errstate(divide="ignore", invalid="ignore"):  # draws of groups whose errors are 0
+            interval = bootstrap_interval(lambda sums, others, counts: sums / others, columns, task_groups)
+        if not np.isfinite(interval).all():
+            return None
     ahead = sum(a < b for a, b in zip(first, second, strict=True))
     kind = "difference" if logarithmic else "ratio"
-    return PairedComparison(value, *central_interval(draws), ahead, len(names), len(set(task_groups)), kind)
+    return PairedComparison(value, *interval, ahead, len(names), len(set(task_groups)), kind)
 
 
 def is_significant(comparison: PairedComparison | None) -> bool | None:
