@@ -33,7 +33,7 @@ from metapp.runs.data_sets.embedded import embedded_folders
 from metapp.runs.environment import torch_defaults
 from metapp.runs.inputs.finding import content_of, data_label, find
 from metapp.runs.outputs.contact_sheet import Tiles, place_side_by_side, srgb_image, to_display_values
-from metapp.runs.outputs.fit_files import export_fit, export_to_new_files, render_outputs, write_pictures
+from metapp.runs.outputs.fit_files import distill, export_to_new_files, render_outputs, write_pictures
 from metapp.runs.records import convert_record
 from metapp.runs.resolve import app_of, presenter_of
 from metapp.runs.spec import Spec, check_export
@@ -174,7 +174,7 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
 
     def forget(self) -> None:
         """Drop the parameters and the task of a fit that was written: they are read again where they are needed."""
-        for name in ("parameters", "task", "maps", "presenter"):
+        for name in ("parameters", "task", "maps", "presenter", "_distilled"):
             vars(self).pop(name, None)
 
     # Figures
@@ -427,9 +427,11 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
     def write_export(self, form: str, path: Path) -> None:
         """Write the fit in another file format, in place of files that are there.
 
+        A format for another network gets the fit distilled into that network.
+
         Args:
             form: the name of the format.
-            path: the file to write, without suffix.
+            path: the file to write, without suffix; its last part names an asset.
 
         Raises:
             KeyError: the format holds something of the input, too, which is not at hand.
@@ -437,7 +439,22 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
             OSError: the files cannot be written.
         """
         with torch_defaults(single=self.app.small_tensors), torch.no_grad():
-            export_fit(self.spec, self.presenter, self.task, self.parameters, form, path)
+            entry = self.spec.application.exports[form]
+            write = entry.load()
+            if entry.of_surface:
+                surface = self.presenter.surface(self.parameters, self.task)
+                assert surface is not None, f"{self.spec.app} has no surface"
+                write(surface, path, {"task": self.name, **self.settings})
+            elif entry.of_task:
+                write(self.app, self.task, path)
+            else:
+                is_of_other_network = entry.holds and set(self.parameters) != set(entry.holds)
+                write(self.app, self._distilled if is_of_other_network else self.parameters, path)
+
+    @functools.cached_property
+    def _distilled(self) -> Params:
+        """The parameters of the application's usual network, distilled from the fit."""
+        return distill(self.presenter, self.task, self.parameters)
 
 
 def _unpickle_fit(record: bytes, held: Mapping[str, Any]) -> Fit:

@@ -21,11 +21,9 @@ from metapp.learning.task import Params, Task, add_task_axis
 from metapp.options import OUTPUT
 from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.runs.checkpoints import read_checkpoint
-from metapp.runs.inputs.finding import content_of
 from metapp.runs.reporter import format_number, say
 from metapp.runs.resolve import complete, recipe_of
 from metapp.runs.spec import Spec
-from metapp.storage.checkpoint_files import tensor_digest
 from metapp.storage.files import move_files, name_file_in_errors, partial_path
 from metapp.storage.image_writers import write_exr, write_png
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME
@@ -138,43 +136,11 @@ def export_to_new_files(write: Callable[[Path], object], path: Path, *, overwrit
     return path.with_name(written[0].name) if len(written) == 1 else path.parent
 
 
-def export_fit(spec: Spec, presenter: Presenter[Any], task: Task, theta: Params, form: str, path: Path) -> None:
-    """Write one fit in another file format; a format for another network gets the fit distilled into that network.
-
-    Args:
-        spec: the specification of the fit, which an asset states as its provenance.
-        presenter: the presenter of the fit, which has the size of surfaces.
-        task: the task that was fitted; without data if its input is not at hand.
-        theta: the parameters of the fit, without a task axis.
-        form: the name of the format.
-        path: the file to write, without suffix; its last part names an asset.
-
-    Raises:
-        KeyError: the format holds something of the input, too, which the task lacks.
-        ValueError: the format cannot hold this fit.
-        OSError: the files cannot be written.
-    """
-    app, entry = presenter.app, spec.application.exports[form]
-    write = entry.load()
-    if entry.of_surface:
-        surface = presenter.surface(theta, task)
-        assert surface is not None, f"{app.name} has no surface"
-        write(surface, path, {"task": task.name, **spec.document()})
-    elif entry.of_task:
-        write(app, task, path)
-    else:
-        is_of_other_network = entry.holds and set(theta) != set(entry.holds)
-        write(app, distill(presenter, task, theta) if is_of_other_network else theta, path)
-
-
-_DISTILLED_FITS: dict[str, Params] = {}  # the last distilled fit alone, for all formats that it is written in
-
-
 def distill(presenter: Presenter[Any], task: Task, theta: Params) -> Params:
     """Distill a fit into the application's usual network, and say by how much the error grows.
 
     Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
-    itself. The last result is kept, for further formats of the same fit.
+    itself.
 
     Args:
         presenter: the presenter of the fit.
@@ -185,9 +151,6 @@ def distill(presenter: Presenter[Any], task: Task, theta: Params) -> Params:
         Parameters of the usual network, without a task axis.
     """
     app = presenter.app
-    key = f"{app.name} {content_of(task)} {tensor_digest(theta)}"
-    if key in _DISTILLED_FITS:
-        return _DISTILLED_FITS[key]
     spec = complete(Spec(app=app.name, paradigm="finetune", recipe=QUICK_RECIPE_NAME))
     recipe, sampled_task = recipe_of(spec), presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
@@ -200,6 +163,4 @@ def distill(presenter: Presenter[Any], task: Task, theta: Params) -> Params:
         for any_app, params in ((app, add_task_axis(theta)), (recipe.app, distilled))
     )
     say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
-    _DISTILLED_FITS.clear()
-    _DISTILLED_FITS[key] = {key: value[0] for key, value in distilled.items()}
-    return _DISTILLED_FITS[key]
+    return {key: value[0] for key, value in distilled.items()}
