@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import bootstrap
 from typing_extensions import override
 
 ErrorsByTask = Mapping[str, float]  # errors by the task's name
@@ -33,8 +34,6 @@ def bootstrap_interval(
     >>> bootstrap_interval(lambda sums, counts: sums / counts, [[1.0, 3.0], [1.0, 1.0]], ["a", "b"])
     (1.0, 3.0)
     """
-    from scipy.stats import bootstrap  # imported here, as it takes as long as the rest of a table of earlier fits
-
     group_numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
     task_groups = [group_numbers[group] for group in groups]
     sums_by_group = [np.bincount(task_groups, values) for values in columns]

@@ -74,7 +74,7 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
 
     if full:
         merl = replace(registry().applications["brdf"].exports["merl"], reference=f"{__name__}:write_to_a_full_disk")
-        monkeypatch.setitem(registry().applications["brdf"].exports.data, "merl", merl)
+        monkeypatch.setitem(registry().applications["brdf"].exports, "merl", merl)
     else:
         for name in ("m4", "m9"):
             (folder / name / "merl").touch()

@@ -53,13 +53,13 @@ def test_parameters_of_earlier_fits_give_their_error(runs: Path) -> None:
     assert np.isfinite(api.load(runs / "meta")(up, up)).all()
 
 
-def test_commands_read_earlier_runs(runs: Path, metapp: Callable) -> None:
-    exported = metapp("export", runs / "meta", "merl", "--out", "exported")
+def test_commands_read_earlier_runs(runs: Path, metapp: Callable, tmp_path: Path) -> None:
+    exported = metapp("export", runs / "meta", "merl", "--out", tmp_path / "exported")
     assert exported.code == 0, exported.err
-    assert Path("exported/paint.binary").stat().st_size > 1e6
-    compared = metapp("compare", runs / "meta", runs / "meta", "--out", "compared")
+    assert (tmp_path / "exported" / "paint.binary").stat().st_size > 1e6
+    compared = metapp("compare", runs / "meta", runs / "meta", "--out", tmp_path / "compared.png")
     assert compared.code == 0, compared.err
-    page = metapp("view", runs / "meta", "--out", "page.html", "--no-open")
+    page = metapp("view", runs / "meta", "--out", tmp_path / "page.html", "--no-open")
     assert page.code == 0, page.err
 
 

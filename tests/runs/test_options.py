@@ -138,7 +138,7 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
     """An extension's format of a suffix that is taken neither wins nor loses in silence."""
     (tmp_path / "paint.csv").write_text("")
     formats = registry().applications["brdf"].formats
-    monkeypatch.setitem(formats.data, "acme", formats["gonio"])
+    monkeypatch.setitem(formats, "acme", formats["gonio"])
     for path in (tmp_path / "paint.csv", tmp_path):
         with pytest.raises(
             ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
