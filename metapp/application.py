@@ -9,8 +9,7 @@ above is `Any`, and the docstring names it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from metapp.entries import Lazy
@@ -83,97 +82,68 @@ class Format(Lazy[Any]):
     is_self_contained: bool = True
 
 
-class ExportParameters(Protocol):
-    r"""A function that writes the parameters of a fit as a file for other programs.
+class MakeAsset(Protocol):
+    """A function that makes an asset of a fit: its answer, complete, as people use it.
 
-    >>> def write_sizes(app, theta, path):
-    ...     lines = [f"{name} {tuple(value.shape)}" for name, value in theta.items()]
-    ...     path.with_suffix(".txt").write_text("\n".join(lines))
+    >>> from metapp.appearance.assets import Texture
+    >>> def make_texture(app, theta, task, size):
+    ...     return Texture(theta["image"], tiles=False)
+    >>> make_texture(None, {"image": torch.zeros(3, 4, 5)}, None, None).size
+    (4, 5)
     """
 
-    def __call__(self, app: Any, theta: Params, path: Path, /) -> None:
-        """Write a fit.
+    def __call__(self, app: Any, theta: Params, task: Task, size: tuple[int, int] | None, /) -> Any:
+        """Return a :class:`metapp.appearance.assets.Asset`.
 
         Args:
             app: the application.
-            theta: the fit's parameters, without a task axis; if `Export.holds` lists names, exactly these.
-            path: the path of the file without suffix; its last part is the task's name. Its folder may not exist yet.
+            theta: the fit's parameters, without a task axis.
+            task: the task that was fitted; without data if its input was not given.
+            size: the height and width of the asset, of those that `App.describe_sizes` allows; None for the usual size
+                of files.
 
         Raises:
-            ValueError: the form cannot hold this fit.
-            KeyError: the form also holds something of the fit's input, which was not given; `metapp export` then looks
-                for the input and calls again.
-            OSError: the file cannot be written.
+            KeyError: the asset needs data that the task lacks; commands then look for the input and call again.
+            ValueError: the fit has no such asset.
         """
         ...
 
 
-class ExportSurface(Protocol):
-    """A function that writes the flat surface of a fit, its maps, as files for other programs.
+class ExportAsset(Protocol):
+    """A function that writes an asset as files for other programs.
 
-    >>> def write_size(surface, path, provenance):
-    ...     height, width = surface.size
-    ...     path.with_suffix(".txt").write_text(f"{provenance['task']}: {height} x {width} texels")
+    >>> def write_size(texture, path, provenance):
+    ...     height, width = texture.size
+    ...     path.with_suffix(".txt").write_text(f"{provenance['task']}: {height} x {width} px")
     """
 
-    def __call__(self, surface: Any, path: Path, provenance: Mapping[str, object], /) -> None:
-        """Write a surface.
+    def __call__(self, asset: Any, path: Path, provenance: Mapping[str, object], /) -> None:
+        """Write an asset.
 
         Args:
-            surface: a :class:`metapp.appearance.surface.Surface` that `Presenter.surface` returned.
+            asset: a :class:`metapp.appearance.assets.Asset` of the type that the export is registered for.
             path: the path of the file, or of the folder of several files, without suffix; its last part is the task's
-                name.
+                name. Its folder may not exist yet.
             provenance: the task's name, as `task`, and the settings of its fit, by the keys of records.
 
         Raises:
-            ValueError: the form cannot hold this surface.
-            OSError: the files cannot be written.
-        """
-        ...
-
-
-class ExportTask(Protocol):
-    """A function that writes what the task of a fit predicts as files for other programs.
-
-    >>> def write_count(app, task, path):
-    ...     path.with_suffix(".txt").write_text(f"{len(task.data['lit'])} photos")
-    """
-
-    def __call__(self, app: Any, task: Task, path: Path, /) -> None:
-        """Write a task.
-
-        Args:
-            app: the application.
-            task: the task that was fitted; without data if its input was not given.
-            path: the path of the file, or of the folder of several files, without suffix; its last part is the task's
-                name.
-
-        Raises:
-            ValueError: the form cannot hold tasks of this application.
-            KeyError: the task has no data; `metapp export` then looks for the input and calls again.
+            ValueError: the form cannot hold this asset.
             OSError: the files cannot be written.
         """
         ...
 
 
 @dataclass(frozen=True)
-class Export(Lazy[Any]):
-    """A form in which fits are written for other programs: a reference to a function.
-
-    The function is :class:`ExportParameters`, or :class:`ExportSurface` if `of_surface` is set, or :class:`ExportTask`
-    if `of_task` is.
+class Export(Lazy[ExportAsset]):
+    """A form in which assets are written for other programs: a reference to a function.
 
     Attributes:
-        of_surface: whether the function writes the flat surface of a fit instead of its parameters.
-        of_task: whether the function writes what a fit's task predicts instead of its parameters.
         holds: the names of the parameters that the form can hold; fits with another network are distilled into these
             first. () if the form is made of what any network evaluates to.
         needs: the module and the package of a library that the function needs and that is not always installed; ()
             for none.
     """
 
-    of_surface: bool = False
-    of_task: bool = False
     holds: tuple[str, ...] = ()
     needs: tuple[str, str] | tuple[()] = ()
 
@@ -306,23 +276,18 @@ class RenderFit(Protocol):
 
 
 class ViewFit(Protocol):
-    """A function that makes the interactive view of an application's fits for a page of the viewer.
+    """A function that makes the interactive view of a fit with one type of asset, for a page of the viewer.
 
-    >>> import torch
     >>> from metapp.extensions.viewer.view import View
-    >>> def view(presenter, theta, task):
-    ...     return View("pictures", pictures={"fit": theta["image"].permute(1, 2, 0)})
-    >>> view(None, {"image": torch.zeros(3, 4, 5)}, None).pictures["fit"].shape
-    torch.Size([4, 5, 3])
+    >>> def view(fit):
+    ...     return View("pictures", pictures={"fit": fit.asset.pixels.permute(1, 2, 0)})
     """
 
-    def __call__(self, presenter: Any, theta: Params, task: Task, /) -> Any:
+    def __call__(self, fit: Any, /) -> Any:
         """Return the view of a fit, a :class:`metapp.extensions.viewer.view.View`.
 
         Args:
-            presenter: the application's :class:`metapp.appearance.presenter.Presenter`.
-            theta: the fit's parameters, without a task axis.
-            task: the task that was fitted; without data if its file is not available.
+            fit: the fit, a :class:`metapp.runs.fit.Fit`; its task has no data if its input is not at hand.
 
         Raises:
             KeyError: the view needs data that the task lacks.
@@ -378,18 +343,18 @@ class Application:
         help: what the application fits, in one sentence.
         app: the class of its fits; each recipe holds an instance of it.
         options: the application's own options.
+        assets: functions that make assets of fits, by the name of the type of asset, of which exports and pages are
+            registered; the first one is what a fit is for. {} for fits that people only measure.
         presenter: what people look at, a `metapp.appearance.presenter.Presenter`; that class itself shows nothing.
         facts: tells facts about a task by its tensors; None if no recipe depends on facts. A fact of the name of an
             observation that is False says that the task lacks what fits would observe.
         read_object: makes the task of an object in memory; None if only files are read.
         synthetic: the module that draws the embedded data set; None without such a set.
-        page: makes the viewer's page of a fit; None for its pictures alone.
         examples: commands that work as they are: pairs of the words after `metapp`, in which {} is the folder of
             inputs, and of a line about what they produce.
         recipes: recipes by name, or by pairs of an observation and a name if fits can observe different things. An
             observation is a value of --observe; the default stands first. "quick" is one of the recipes.
         formats: formats of input files. The command "data NAME" converts the files of the format NAME.
-        exports: forms in which fits are written.
         baselines: functions that make methods without a network, by the name of each method.
         merges: functions that make one task of all inputs, by the name of an option about INPUT that calls for it.
         outputs: functions that make further pictures of a fit, by the name of an option about OUTPUT that calls for it.
@@ -407,15 +372,14 @@ class Application:
     help: str
     app: Lazy[type[App]]
     options: Lazy[type[AppOptions]] = NO_OPTIONS
+    assets: dict[str, Lazy[MakeAsset]] = field(default_factory=dict)
     presenter: Lazy[type[Any]] = NO_PRESENTER
     facts: Lazy[DescribeTensors] | None = None
     read_object: Lazy[ReadObject] | None = None
     synthetic: SyntheticSet | None = None
-    page: Lazy[ViewFit] | None = None
     examples: Lazy[Sequence[tuple[str, str]]] | None = None
     recipes: dict[str | tuple[str, str], RecipeEntry] = field(default_factory=dict)
     formats: dict[str, Format] = field(default_factory=dict)
-    exports: dict[str, Export] = field(default_factory=dict)
     baselines: dict[str, Lazy[MakeBaselines]] = field(default_factory=dict)
     merges: dict[str, Lazy[MergeInputs]] = field(default_factory=dict)
     outputs: dict[str, Lazy[RenderFit]] = field(default_factory=dict)
@@ -460,17 +424,3 @@ class Application:
     def describe_tensors(self, tensors: Mapping[str, Tensor | None]) -> Facts:
         """Return facts about a task by its tensors; see :class:`DescribeTensors`."""
         return self.facts.load()(tensors) if self.facts else {}
-
-    def make_presenter(self, app: App, values: Mapping[str, object] = MappingProxyType({})) -> Any:
-        """Return a `metapp.appearance.presenter.Presenter` of fits.
-
-        Args:
-            app: the application's network and sizes, at the recipe of the fits.
-            values: fields of presenters by name, such as `size`; those that the presenter does not have are left out.
-
-        Raises:
-            ValueError: files of the application cannot have the size.
-        """
-        presenter_class = self.presenter.load()
-        known = {field.name for field in fields(presenter_class)}
-        return presenter_class(app, self, **{name: value for name, value in values.items() if name in known})

@@ -146,7 +146,8 @@ class AppOptions:
 
     An application's subclass is a frozen dataclass, each field of which is annotated by an :class:`Option`. The
     option's panel says what the option influences: INPUT the reading of inputs, FIT the recipe, by
-    :meth:`adapt_recipe`, and OUTPUT the presenter and the files of a fit.
+    :meth:`adapt_recipe`, and OUTPUT the files of a fit, by :meth:`adapt_asset`. An option `size` about OUTPUT is the
+    height and width of files.
     """
 
     def non_default_values(self, *panels: str) -> dict[str, Any]:
@@ -160,6 +161,14 @@ class AppOptions:
     def reader_keywords(self) -> dict[str, Any]:
         """Return keyword arguments for readers, each of which is given those that its function has."""
         return self.non_default_values(INPUT)
+
+    def adapt_asset(self, asset: Any) -> Any:
+        """Change an asset as the options about OUTPUT ask, such as its relief; its size is not changed here.
+
+        Args:
+            asset: a `metapp.appearance.assets.Asset`.
+        """
+        return asset
 
     def adapt_recipe(self, recipe: Any) -> Any:
         """Change a recipe as the options ask.

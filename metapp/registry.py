@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from metapp.application import Application, Export, Format, RecipeEntry
+from metapp.application import Application, Export, Format, RecipeEntry, ViewFit
 from metapp.entries import Lazy, describe_error, did_you_mean
 
 if TYPE_CHECKING:
@@ -214,6 +214,7 @@ KINDS: dict[str, type] = {  # the type of the entries of a table by its name; of
     "recipes": RecipeEntry,
     "tables": TableEntry,
 }
+KEYS_OF_PAIRS = {"exports": "a pair of names", "recipes": "a name or a pair of names"}  # tables with such keys
 HOOKS = ("steps", "scene")  # the names that hooks may have: those that the core calls
 
 
@@ -224,6 +225,9 @@ class Registry:
     Attributes:
         applications: applications by name; each has tables of its own.
         rules: learned rules, each a :class:`metapp.learning.rules.LearnedRule` of the name that is its key.
+        exports: forms in which assets are written, by pairs of the name of the asset's type and of the form.
+        pages: functions that make the viewer's page of a fit, by the name of the type of its asset; fits with other
+            assets have a page of their pictures.
         file_exports: forms in which files are written that are no fits.
         plugins: plugins of Mitsuba.
         measures: measures of pictures.
@@ -243,6 +247,8 @@ class Registry:
 
     applications: dict[str, Application] = field(default_factory=dict)
     rules: dict[str, Lazy[LearnedRule]] = field(default_factory=dict)
+    exports: dict[tuple[str, str], Export] = field(default_factory=dict)
+    pages: dict[str, Lazy[ViewFit]] = field(default_factory=dict)
     file_exports: dict[str, FileExport] = field(default_factory=dict)
     plugins: dict[str, Plugin] = field(default_factory=dict)
     measures: dict[str, Measure] = field(default_factory=dict)
@@ -292,6 +298,18 @@ class Registry:
             if name in application.formats:
                 return application, application.formats[name]
         raise KeyError(name)
+
+    def exports_of(self, application: Application) -> dict[str, tuple[str, Export]]:
+        """Return the forms in which fits of an application are written, sorted by name.
+
+        Returns:
+            By the name of the form, the name of the type of asset that it holds, and the form.
+
+        >>> registry().exports_of(registry().applications["texture"])["exr"][0]
+        'texture'
+        """
+        forms = {name: (asset, entry) for (asset, name), entry in self.exports.items() if asset in application.assets}
+        return dict(sorted(forms.items()))
 
     def all_tables(self) -> dict[str, dict[Any, Any]]:
         """Return all tables by title, such as "commands" and "recipes of brdf", and the fields of applications."""
@@ -387,7 +405,8 @@ def _check_entries(package: str, registry: Registry, before: Mapping[str, Mappin
                 continue
             if earlier.get(key) is not None:
                 owner = registry.owner(title, key)
-                raise ValueError(f"{title} {key}: registered by {package}, but {owner} has registered it already")
+                words = " ".join((title, *(key if isinstance(key, tuple) else (key,))))
+                raise ValueError(f"{words}: registered by {package}, but {owner} has registered it already")
             _check_entry(title, key, entry)
             for reference in _references_in(entry):
                 if importlib.util.find_spec(reference.partition(":")[0]) is None:
@@ -413,15 +432,15 @@ def _check_entry(title: str, key: Any, entry: object) -> None:
         ValueError: there is no such hook, or no such field of an application.
     """
     name = title.split()[0]
-    may_be_pair = name == "recipes" and isinstance(key, tuple) and len(key) == 2
-    if not all(isinstance(word, str) and word for word in (key if may_be_pair else (key,))):
-        raise TypeError(f"{title} {key!r}: expected a name{' or a pair of names' if name == 'recipes' else ''}")
+    may_be_pair = name in KEYS_OF_PAIRS and isinstance(key, tuple) and len(key) == 2
+    words = key if may_be_pair else (key,)
+    if not all(isinstance(word, str) and word for word in words) or (name == "exports" and not may_be_pair):
+        raise TypeError(f"{title} {key!r}: expected {KEYS_OF_PAIRS.get(name, 'a name')}")
     names = {"hooks": HOOKS, "fields": [field.name for field in fields(Application)]}.get(name, [key])
     if key not in names:
         raise ValueError(f"{title} {key}: expected one of {', '.join(names)}")
     kind = KINDS.get(name, Lazy)
     if name != "fields" and not isinstance(entry, kind):
-        words = key if may_be_pair else (key,)
         raise TypeError(f"{' '.join((title, *words))}: a {type(entry).__name__}, expected {kind.__name__}")
 
 

@@ -2,12 +2,16 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 from metapp.appearance.presenter import Presenter
 from metapp.application import Application, Export, Format
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
+from metapp.learning.task import Params, Task
 from metapp.registry import registry
+from metapp.runs.fit import Fit
+from metapp.runs.spec import Spec
 
 
 def app_names() -> list[str]:
@@ -36,14 +40,27 @@ def app_by_recipe(name: str, recipe: str = "quick", observes: str = "") -> App:
 
 
 def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) -> Presenter:
-    """Return the presenter of an application's fits."""
-    presenter: Presenter = registry().applications[app.name].make_presenter(app, values)
+    """Return the presenter of an application's fits, by its own options."""
+    application = registry().applications[app.name]
+    presenter: Presenter = application.presenter.load()(app, application, application.options.load()(**values))
     return presenter
+
+
+def fit_of(app: App, theta: Params, task: Task, values: Mapping[str, object] = MappingProxyType({})) -> Fit:
+    """Return a fit of given parameters, without a task axis, by an application's own options."""
+    fit = Fit(name=task.name, spec=Spec(app=app.name, paradigm="meta", options=dict(values)))
+    fit.app, fit.parameters, fit.task = app, theta, task
+    return fit
+
+
+def asset_of(app: App, theta: Params, task: Task, values: Mapping[str, object] = MappingProxyType({})) -> Any:
+    """Return what a fit of given parameters is for, at the size of files."""
+    return fit_of(app, theta, task, values).asset
 
 
 def exports_of(name: str) -> dict[str, Export]:
     """Return the forms in which fits of an application are written, by name, sorted."""
-    return dict(sorted(registry().applications[name].exports.items()))
+    return {form: entry for form, (_, entry) in registry().exports_of(registry().applications[name]).items()}
 
 
 def input_formats(name: str) -> dict[str, Format]:

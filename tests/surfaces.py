@@ -8,9 +8,9 @@ import OpenImageIO as oiio
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.assets import Surface, Texture
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.height_fields import normal_from_height
-from metapp.appearance.surface import Surface
 from metapp.appearance.svbrdf_maps import Maps
 
 PROVENANCE = {"task": "rock", "app": "svbrdf_nonstationary", "rise": math.inf, "versions": {"metapp": "0"}}
@@ -24,7 +24,7 @@ def rock_surface(size: int = 32, *, tiles: bool = True) -> Surface:
     specular = torch.stack([0.45 + 0.44 * y.cos(), 0.3 + 0.27 * (x - y).sin(), 0.04 + 0.03 * x.sin()])
     roughness = 0.5 + 0.35 * (2 * y).sin()[None]
     normal = normal_from_height(height[None], periodic=tiles)[0]
-    return Surface(diffuse, tiles, Maps(diffuse, specular, roughness, normal), height if tiles else None)
+    return Surface(Maps(diffuse, specular, roughness, normal), tiles, height if tiles else None)
 
 
 def flat_maps(
@@ -40,9 +40,9 @@ def flat_maps(
     return Maps(*(torch.tensor(v, dtype=torch.float64)[:, None, None].expand(-1, *size) for v in values))
 
 
-def texture_surface(size: int = 32) -> Surface:
-    """Return a surface that has a base colour alone, and tiles."""
-    return Surface(rock_surface(size).colour, True)
+def rock_texture(size: int = 32) -> Texture:
+    """Return a texture that tiles."""
+    return Texture(linear_to_srgb(rock_surface(size).maps.diffuse))
 
 
 def read_stored_values(file: Path) -> Tensor:

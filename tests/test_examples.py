@@ -13,6 +13,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
+import metapp
 from tests import forks
 from tests.needs_mitsuba import needs_mitsuba
 from tests.pictures import write_image, write_planes
@@ -48,6 +49,20 @@ def run_here(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
         return messages
 
     return call
+
+
+@pytest.mark.long
+def test_example_brdf_to_onnx_computes_what_the_fit_does(
+    write_nbrdf_networks: Callable[[int], Path], tmp_path: Path, run_here: Callable[..., str]
+) -> None:
+    pytest.importorskip("onnxscript")
+    runtime = pytest.importorskip("onnxruntime")
+    material, model = next(write_nbrdf_networks(1).iterdir()), tmp_path / "paint.onnx"
+    assert str(model) in run_here("brdf_to_onnx.py", material, model)
+    wi, wo = (torch.nn.functional.normalize(torch.rand(50, 3) + 0.1, dim=1) for _ in range(2))
+    session = runtime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
+    (found,) = session.run(["reflectance"], {"wi": wi.numpy(), "wo": wo.numpy()})
+    np.testing.assert_allclose(found, metapp.fit("brdf", material)(wi, wo).numpy(), rtol=1e-3, atol=1e-4)
 
 
 def test_example_fit_brdf_runs(

@@ -31,7 +31,6 @@ LATE_IMPORTS = {
     "data_tools/readers/image_files.py": "pillow-heif",
     "data_tools/readers/nbrdf_files.py": "h5py",
     "metapp/extensions/capture/hand_photos.py": "OpenCV",
-    "metapp/extensions/onnx_files/models.py": "onnx",
     # Mitsuba and Dr.Jit take a libLLVM once and for all when they are imported, and 0.2 s
     "data_tools/readers/brdf_objects.py": "Dr.Jit is there if a BSDF of Mitsuba is given",
     "metapp/apps/transport/guided_pictures.py": "integrators run after a scene is loaded",

@@ -35,11 +35,11 @@ BROKEN = {
     'registry.commands["more"] = Command("antigravity_exit:run")': (
         "antigravity_exit:run cannot be loaded: SystemExit: 7"
     ),
-    'brdf.exports["glsl"] = Export("math:gcd")': (
-        "ValueError: exports of brdf glsl: registered by stranger, but metapp has registered it already"
+    'registry.exports["reflectance", "glsl"] = Export("math:gcd")': (
+        "ValueError: exports reflectance glsl: registered by stranger, but metapp has registered it already"
     ),
-    'brdf.exports.update({"glsl": Export("math:gcd")})': "but metapp has registered it already",
-    'brdf.page = Lazy("math:gcd")': "ValueError: fields of brdf page: registered by stranger, but metapp has",
+    'registry.exports.update({("reflectance", "glsl"): Export("math:gcd")})': "but metapp has registered it already",
+    'brdf.synthetic = Lazy("math:gcd")': "ValueError: fields of brdf synthetic: registered by stranger, but metapp has",
     'brdf.pages = Lazy("math:gcd")': "ValueError: fields of brdf pages: expected one of name, title, help",
     'registry.hooks["steps"] = Lazy("math:gcd")': "ValueError: hooks steps: registered by stranger, but metapp has",
     'registry.hooks["stepps"] = Lazy("math:gcd")': "ValueError: hooks stepps: expected one of steps, scene",
@@ -52,14 +52,15 @@ BROKEN = {
         "ValueError: recipes of brdf for inputs of samples (1, 200): registered by stranger, "
         "but metapp has registered it already"
     ),
-    'brdf.exports["mine"] = "math:gcd"': "TypeError: exports of brdf mine: a str, expected Export",
-    'brdf.exports.update({"mine": Lazy("math:gcd")})': "TypeError: exports of brdf mine: a Lazy, expected Export",
+    'registry.exports["surface", "mine"] = "math:gcd"': "TypeError: exports surface mine: a str, expected Export",
+    'registry.exports["surface", "mine"] = Lazy("math:gcd")': "exports surface mine: a Lazy, expected Export",
     'registry.add(Application(name="mine", title="", help="", app=Lazy("math"), options=Lazy("nothing_at_all:A")))': (
         "ImportError: nothing_at_all:A: no such module"
     ),
-    'brdf.exports["mine", "yours"] = Export("math:gcd")': "TypeError: exports of brdf ('mine', 'yours'): expected",
+    'registry.exports["mine"] = Export("math:gcd")': "TypeError: exports 'mine': expected a pair of names",
+    'brdf.baselines["mine", "yours"] = Lazy("math:gcd")': "TypeError: baselines of brdf ('mine', 'yours'): expected",
     'registry.tables[""] = TableEntry("math:gcd")': "TypeError: tables '': expected a name",
-    "brdf.exports = {}": "ValueError: fields of brdf exports: registered by stranger, but metapp has",
+    "brdf.recipes = {}": "ValueError: fields of brdf recipes: registered by stranger, but metapp has",
     "registry.commands = {}": "FrozenInstanceError: cannot assign to field 'commands'",
     "registry.steps = 7": "FrozenInstanceError: cannot assign to field 'steps'",
     "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
@@ -183,7 +184,9 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
     assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in result.stderr
     extensions = json.loads(result.stdout)["extensions"]
     assert "good of good" in extensions
-    assert "broken5 of broken5 (left out: ValueError: exports of brdf glsl: registered by broken5, but" in extensions
+    assert (
+        "broken5 of broken5 (left out: ValueError: exports reflectance glsl: registered by broken5, but" in extensions
+    )
     assert extensions.count("left out") == count
     listed = metapp("--help")
     assert "good" not in listed.stdout  # typer makes no command of its function
@@ -220,11 +223,7 @@ def test_no_two_entries_that_ship_have_one_name() -> None:
 # Entries of formats, exports and objects
 
 FORMATS = {name: form for application in registry().applications.values() for name, form in application.formats.items()}
-EXPORTS = {
-    f"{application.name}-{name}": form
-    for application in registry().applications.values()
-    for name, form in application.exports.items()
-}
+EXPORTS = {f"{kind}-{name}": form for (kind, name), form in registry().exports.items()}
 
 
 @pytest.mark.parametrize("name", sorted(FORMATS))
@@ -244,19 +243,24 @@ def test_modules_have_the_attributes_that_entries_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("form", EXPORTS.values(), ids=EXPORTS)
-def test_writers_take_a_surface_a_task_or_parameters(form: Export) -> None:
+def test_writers_take_an_asset_a_path_and_its_provenance(form: Export) -> None:
     parameters = inspect.signature(form.load()).parameters.values()
     names = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
-    expected = ["surface", "path"] if form.of_surface else ["app", "task"] if form.of_task else ["app", "theta"]
-    assert names[:2] == expected
     assert len(names) == 3
+    assert names[2] == "provenance"
+
+
+def test_assets_of_exports_and_pages_are_those_of_applications() -> None:
+    kinds = {kind for application in registry().applications.values() for kind in application.assets}
+    assert {kind for kind, _ in registry().exports} | registry().pages.keys() <= kinds
 
 
 CONTRACTS = {
     "read_object": contracts.ReadObject,
     "merges": contracts.MergeInputs,
     "outputs": contracts.RenderFit,
-    "page": contracts.ViewFit,
+    "pages": contracts.ViewFit,
+    "assets": contracts.MakeAsset,
     "baselines": contracts.MakeBaselines,
     "facts": contracts.DescribeTensors,
     "file_exports": module.ExportFiles,

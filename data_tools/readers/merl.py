@@ -14,7 +14,7 @@ Source: Matusik et al. 2003, "A Data-Driven Reflectance Model", and the reader p
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,11 +29,11 @@ from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.numbers import Doubles
 from metapp.appearance.geometry import is_above_horizon
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
 from metapp.storage.files import add_suffix, open_regular, placeholder_line, write_atomically
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
+    from metapp.apps.brdf.reflectance import Reflectance
 
 UNITS = brdf_task.UNITS
 MERL_SUFFIX = ".binary"
@@ -58,10 +58,10 @@ def recognises(path: str | Path) -> bool:
     return any(file.suffix.lower() == MERL_SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
 
 
-def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network of the BRDF application as a MERL file; .binary is added to a path without it."""
-    app.require_isotropic(path.name, "a MERL table")
-    write_merl(add_suffix(path, MERL_SUFFIX), tabulate_merl(lambda angles: app.reflectance(theta, angles)))
+def export(asset: Reflectance, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write reflectance as a MERL file; .binary is added to a path without it."""
+    asset.require_isotropic(path.name, "a MERL table")
+    write_merl(add_suffix(path, MERL_SUFFIX), tabulate_merl(asset.evaluate))
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

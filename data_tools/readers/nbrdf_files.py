@@ -26,11 +26,11 @@ from data_tools.readers import brdf_task
 from data_tools.readers.input_source import Source, Sources
 from data_tools.readers.listing import files_below
 from metapp.appearance.geometry import half_difference_vectors
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
 from metapp.storage.files import check_readable, open_regular, write_atomically
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
+    from metapp.apps.brdf.reflectance import Reflectance
 
 UNITS = brdf_task.UNITS
 NBRDF_ARRAY_SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
@@ -88,8 +88,9 @@ def recognises(path: str | Path) -> bool:
     )
 
 
-def export(app: Brdf, theta: Params, folder: Path) -> None:
-    """Write a fitted network of the BRDF application, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
+def export(asset: Reflectance, folder: Path, provenance: Mapping[str, object]) -> None:
+    """Write the network of reflectance, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
+    theta = asset.theta
     weights = {f"fc{layer}": theta[f"w{layer}"].T for layer in (1, 2, 3)}
     write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
 

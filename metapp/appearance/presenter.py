@@ -1,25 +1,24 @@
-"""What people look at of an application's fits: titles, pictures, remarks and warnings.
+"""What people look at of fits beside what these saw: titles, pictures beside references, remarks and warnings.
 
-Learning needs none of it: an application works without its presenter, in a notebook for example. A presenter adds
-nothing to a fit; it shows one, given by its parameters and its task.
+Learning needs none of it: an application works without its presenter, in a notebook for example. What a fit answers
+with, its files and exports among it, is its asset, see :mod:`metapp.appearance.assets`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from torch import Tensor
 
-from metapp.appearance.pictures import Picture, PictureComparison, TimedFit, VisibleData
-from metapp.appearance.surface import Surface
+from metapp.appearance.pictures import PictureComparison, TimedFit, VisibleData
 from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, Tasks
+from metapp.options import AppOptions
 
 PresentedApp = TypeVar("PresentedApp", bound=App)
-CachedValue = TypeVar("CachedValue")
 
 
 @dataclass(frozen=True)
@@ -30,23 +29,20 @@ class Presenter(Generic[PresentedApp]):
     nothing, so that an application can do without a presenter of its own, and a subclass defines the methods for what
     it can show: most often :meth:`preview` and :meth:`pictures`.
 
-    A subclass may add fields, as a frozen dataclass, too. A field has the value of the application's option of this
-    name, if the option is about OUTPUT and was given.
-
     Attributes:
         app: the network and the sizes of the application, at the recipe of the fits.
         application: the application.
-        size: height and width of the files that fits write, px; None for the application's own choice.
+        options: the application's own options, of which those about OUTPUT change what is shown.
 
     >>> from metapp.registry import registry
     >>> brdf = registry().applications["brdf"]
-    >>> brdf.make_presenter(brdf.recipes["quick"].load().app).title
+    >>> Presenter(brdf.recipes["quick"].load().app, brdf).title
     'BRDF'
     """
 
     app: PresentedApp
     application: Application
-    size: tuple[int, int] | None = None
+    options: AppOptions = field(default_factory=AppOptions)
 
     def __post_init__(self) -> None:
         """Refuse a size that files cannot have.
@@ -56,7 +52,11 @@ class Presenter(Generic[PresentedApp]):
         """
         if self.size and (refusal := self.size_refusal(*self.size)):
             raise ValueError(f"--size {self.size[0]}x{self.size[1]}: {self.app.name} {refusal}.")
-        object.__setattr__(self, "_last", (None, None, None))  # the fit, the task and the value that `cache_last` keeps
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """The height and width of files that the user asks for, px; None for the usual size."""
+        return getattr(self.options, "size", None)
 
     @property
     def title(self) -> str:
@@ -101,28 +101,6 @@ class Presenter(Generic[PresentedApp]):
         """
         return self.preview(theta, task)
 
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Return the picture files that a fit makes for its user, by the file's name without its ending."""
-        return {}
-
-    def prediction_pictures(self, prediction: Any, task: Task) -> dict[str, Picture]:
-        """Return the picture files of a prediction that need not come from the network, such as a baseline's.
-
-        Args:
-            prediction: the argument of the application's method `errors_of`, with a task axis of one entry.
-            task: the task.
-        """
-        return {}
-
-    def surface(self, theta: Params, task: Task) -> Surface | None:
-        """Return the flat surface that a fit describes, as `pictures` shows it; None if it describes none."""
-        return None
-
-    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return the maps of a fit, linear, [H, W] or [H, W, 3], by name; {} if it has none."""
-        surface = self.surface(theta, task)
-        return {} if surface is None else surface.linear_maps()
-
     # Comparisons and doubts
 
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
@@ -161,23 +139,3 @@ class Presenter(Generic[PresentedApp]):
     def visible(self, task: Task) -> VisibleData | None:
         """Return how much of a task a fit may see; None if the application does not say."""
         return None
-
-    def sample_fit(self, theta: Params, task: Task) -> Task | None:
-        """Return a task sampled from the fit itself, to distil it into another network; None if there is no other."""
-        return None
-
-    def cache_last(self, theta: Params, task: Task, make: Callable[[], CachedValue]) -> CachedValue:
-        """Return the value that `make` makes of a fit, made once if it is asked for several times in turn.
-
-        Args:
-            theta: the fit; another mapping counts as another fit, even if it holds the same tensors.
-            task: the task of the fit.
-            make: makes the value, such as maps at the size of files.
-        """
-        last: tuple[Params, Task, CachedValue] = self._last  # type: ignore[attr-defined]
-        if last[0] is not theta or last[1] is not task:
-            # the value may be 0.6 GB: it goes before the next fit's is made
-            object.__setattr__(self, "_last", (None, None, None))
-            last = theta, task, make()
-            object.__setattr__(self, "_last", last)
-        return last[2]

@@ -1,6 +1,4 @@
-"""The maps of a fitted flat surface, their pictures, and the metallic-roughness workflow of other programs.
-
-Exports and the viewer read a :class:`Surface` and need not know what was fitted, or how.
+"""Pictures of the maps of a flat surface, and the metallic-roughness workflow of other programs.
 
 In the workflow a texel is a mixture of a dielectric of specular reflectance c = 0.04 and a metal, as in glTF 2.0's core
 materials:
@@ -10,62 +8,18 @@ materials:
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display
 from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
-from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.pictures import Picture
 from metapp.appearance.svbrdf_maps import Maps
 
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of nearly all materials but metals
 PHOTOGRAPH_STRIP_TEXELS = 2**17  # texels rendered at a time
 DESCRIPTION_FILE = "material.json"  # name of the file that describes the files of an asset folder
-
-
-class Surface(NamedTuple):
-    """A flat surface, texel by texel; row 0 is the upper edge. A texture is a colour alone.
-
-    Attributes:
-        colour: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
-        tiles: whether its opposite edges match.
-        maps: all maps, without leading axes; None if it is a texture.
-        height: [1, H, W] in texels, if the fit has one.
-    """
-
-    colour: Tensor
-    tiles: bool
-    maps: Maps | None = None
-    height: Tensor | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """The height and width in texels."""
-        return self.colour.shape[-2], self.colour.shape[-1]
-
-    def heights_in_widths(self) -> Tensor:
-        """Return heights [1, H, W] in texture widths, about a mean of 0; if the fit has none, its normals' integral."""
-        height = self.height
-        if height is None:
-            assert self.maps is not None
-            height = height_from_normal(self.maps.normal, periodic=self.tiles)
-        return (height - height.mean()) / self.size[1]
-
-    def linear_maps(self) -> dict[str, Tensor]:
-        """Return the maps that the fit has, by name, linear: [H, W, 3], or [H, W] for roughness and heights in texels.
-
-        Normals are unit vectors.
-        """
-        if self.maps is None:
-            return {"basecolor": self.colour.movedim(0, -1)}
-        diffuse, specular, roughness, normal = self.maps
-        maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
-        maps = {name: tensor.movedim(0, -1) for name, tensor in maps.items()} | {"roughness": roughness[0]}
-        return maps if self.height is None else maps | {"height": self.height[0]}
 
 
 def scale_relief(maps: Maps, factor: float) -> Maps:

@@ -100,6 +100,11 @@ class ReliefOptions(AppOptions):
         ),
     ] = 1.0
 
+    @override
+    def adapt_asset(self, asset: Any) -> Any:
+        """Scale the relief of a surface; other assets have none."""
+        return asset.scale_relief(self.relief) if self.relief != 1 and hasattr(asset, "scale_relief") else asset
+
 
 @dataclass(frozen=True)
 class FlashOptions(ReliefOptions, CameraOptions):

@@ -62,7 +62,7 @@ def _names_of_apps(names: Callable[[Application], Iterable[str]]) -> Callable[[]
 
 
 app_words = _make_completer(app_names)
-fit_export_names = _names_of_apps(lambda application: sorted(application.exports))
+fit_export_names = _names_of_apps(lambda application: [*registry().exports_of(application)])
 export_words = _make_completer(lambda: (*fit_export_names(), *registry().file_exports))
 baseline_words = _make_completer(_names_of_apps(lambda application: application.baselines))
 COMPLETION_WORDS = {  # completers of the values of options, by the option's name

@@ -21,7 +21,7 @@ def _describe_kinds() -> str:
     """Return the values of KIND for help: by application, equal ones together, then by files that are no run."""
     apps_by_kinds: dict[str, list[str]] = {}
     for name, application in sorted(registry().applications.items()):
-        apps_by_kinds.setdefault(", ".join(sorted(application.exports)), []).append(name)
+        apps_by_kinds.setdefault(", ".join(registry().exports_of(application)), []).append(name)
     kinds_by_files: dict[str, list[str]] = {}
     for kind, entry in registry().file_exports.items():
         kinds_by_files.setdefault(entry.files, []).append(kind)

@@ -37,7 +37,7 @@ def make_fit_command(paradigm: str, application: Application) -> Callable[..., N
 
     known_options = {**options_by_name(Spec), **options_by_name(RunOptions)}
     ignored_options = [known_options[name] for name in PARADIGMS[paradigm].ignored_options]
-    exports = ", ".join(sorted(application.exports))
+    exports = ", ".join(registry().exports_of(application))
     help_texts = {  # help that depends on the application; "" for an option that the application does not have
         "observe": known_options["observe"].help if application.observations else "",
         "export": f"{exports}; several separated by commas." if exports else "",

@@ -10,25 +10,21 @@ from metapp.application import Export, Format
 from metapp.entries import Lazy
 from metapp.registry import Command, FileExport, Measure, Plugin, Registry, TableEntry
 
-_MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 _HERE = "metapp.extensions"  # the package that references begin with
 
 
 def assets(registry: Registry) -> None:
     """Register exports of fitted materials and textures: glTF, USD, MaterialX, Mitsuba, Blender, image files."""
     here = f"{_HERE}.assets"
-    for app in (*_MATERIALS, "texture"):
-        exports = registry.applications[app].exports
-        exports["asset"] = Export(f"{here}.surface_pictures:write_asset", of_surface=True)
-        exports["exr"] = Export(f"{here}.surface_pictures:write_exr", of_surface=True)
-        exports["png16"] = Export(f"{here}.surface_pictures:write_png16", of_surface=True)
-    for app in _MATERIALS:
-        exports = registry.applications[app].exports
-        exports["blender"] = Export(f"{here}.surface_pictures:write_blender", of_surface=True)
-        exports["gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
-        exports["materialx"] = Export(f"{here}.materialx:write_openpbr", of_surface=True)
-        exports["mitsuba"] = Export(f"{here}.mitsuba_surfaces:write_mitsuba", of_surface=True)
-        exports["usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
+    for asset in ("surface", "texture"):
+        registry.exports[asset, "asset"] = Export(f"{here}.surface_pictures:write_asset")
+        registry.exports[asset, "exr"] = Export(f"{here}.surface_pictures:write_exr")
+        registry.exports[asset, "png16"] = Export(f"{here}.surface_pictures:write_png16")
+    registry.exports["surface", "blender"] = Export(f"{here}.surface_pictures:write_blender")
+    registry.exports["surface", "gltf"] = Export(f"{here}.gltf:write_gltf")
+    registry.exports["surface", "materialx"] = Export(f"{here}.materialx:write_openpbr")
+    registry.exports["surface", "mitsuba"] = Export(f"{here}.mitsuba_surfaces:write_mitsuba")
+    registry.exports["surface", "usd"] = Export(f"{here}.usd:write_usd", needs=("pxr", "usd-core"))
 
 
 def baselines(registry: Registry) -> None:
@@ -133,17 +129,6 @@ def native(registry: Registry) -> None:
     registry.hooks["steps"] = Lazy(f"{_HERE}.native.step_choice:choose_steps")
 
 
-def onnx_files(registry: Registry) -> None:
-    """Register exports of fitted BRDFs, and of General of flash photographs, as ONNX models."""
-    here = f"{_HERE}.onnx_files"
-    registry.applications["brdf"].exports["onnx"] = Export(
-        f"{here}.brdf_model:write_onnx", needs=("onnxscript", "onnx and onnxscript")
-    )
-    registry.file_exports["onnx"] = FileExport(
-        f"{here}.general_files:write_general", files="General's networks for photos (RUN is a checkpoint or its name)"
-    )
-
-
 def plan(registry: Registry) -> None:
     """Register the command that chooses directions in which to measure a BRDF."""
     registry.commands["plan"] = Command(f"{_HERE}.plan.plan_command:plan_command", position=90)
@@ -155,9 +140,9 @@ def rgl(registry: Registry) -> None:
     brdf = registry.applications["brdf"]
     brdf.formats["bsdf"] = Format(f"{here}.rgl", "RGL .bsdf files")
     registry.commands["data bsdf"] = Command(f"{here}.bsdf_converter:BsdfConverter", position=30)
-    brdf.exports["bsdf"] = Export(f"{here}.rgl:export")
-    brdf.exports["bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
-    brdf.exports["mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
+    registry.exports["reflectance", "bsdf"] = Export(f"{here}.rgl:export")
+    registry.exports["reflectance", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
+    registry.exports["reflectance", "mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
     for kind in ("merl", "bsdf", "bsdf-spectral"):
         registry.file_exports[kind] = FileExport(
             f"{here}.brdf_conversion:write_converted",
@@ -167,9 +152,8 @@ def rgl(registry: Registry) -> None:
 
 def rti_files(registry: Registry) -> None:
     """Register exports of objects under many lamps: Polynomial Texture Maps, and folders of the program Relight."""
-    exports = registry.applications["svbrdf_nonstationary"].exports
-    exports["ptm"] = Export(f"{_HERE}.rti_files.ptm_file:write_ptm", of_task=True)
-    exports["relight"] = Export(f"{_HERE}.rti_files.relight_folder:write_relight", of_task=True)
+    registry.exports["lit photos", "ptm"] = Export(f"{_HERE}.rti_files.ptm_file:write_ptm")
+    registry.exports["lit photos", "relight"] = Export(f"{_HERE}.rti_files.relight_folder:write_relight")
 
 
 def scene_files(registry: Registry) -> None:
@@ -188,9 +172,8 @@ def scene_files(registry: Registry) -> None:
 def shaders(registry: Registry) -> None:
     """Register exports of fitted BRDFs as source code of shaders."""
     weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into a network of these
-    exports = registry.applications["brdf"].exports
     for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
-        exports[name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
+        registry.exports["reflectance", name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
 
 
 def vgg(registry: Registry) -> None:
@@ -204,7 +187,8 @@ def viewer(registry: Registry) -> None:
     registry.commands["view"] = Command(f"{here}.viewer_commands:view_command", position=50)
     registry.commands["try"] = Command(f"{here}.viewer_commands:try_command", position=10)
     registry.methods["view"] = Lazy(f"{here}.runs_page:write_fit_page")
-    for app in ("brdf", "illumination", "transport"):
-        registry.applications[app].page = Lazy(f"{here}.pages.{app}:make_{app}_view")
-    for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):
-        registry.applications[app].page = Lazy(f"{here}.pages.flat:make_{app}_view")
+    registry.pages["reflectance"] = Lazy(f"{here}.pages.brdf:make_reflectance_page")
+    registry.pages["radiance"] = Lazy(f"{here}.pages.illumination:make_radiance_page")
+    registry.pages["path density"] = Lazy(f"{here}.pages.transport:make_path_density_page")
+    registry.pages["surface"] = Lazy(f"{here}.pages.flat:make_surface_page")
+    registry.pages["texture"] = Lazy(f"{here}.pages.flat:make_texture_page")

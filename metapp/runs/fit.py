@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -42,36 +42,6 @@ from metapp.storage.files import require_new_file, to_json_value, write_bytes
 from metapp.storage.fit_folders import RECORD, pack_fit, read_params, read_record, write_fit_folder
 from metapp.storage.image_writers import png_data_url
 from metapp.storage.parameters import check_params
-
-
-@runtime_checkable
-class HasReflectance(Protocol):
-    """An application whose fits are BRDFs, which :class:`Fit` evaluates for any pairs of directions."""
-
-    def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
-        """Return the reflectance of a fitted BRDF.
-
-        Args:
-            theta: the parameters of the fit, without a task axis.
-            angles: half and difference angles and phi_h, [..., 4] in rad.
-
-        Returns:
-            Reflectance in 1/sr without the cosine, linear RGB [..., 3].
-        """
-
-
-@runtime_checkable
-class CanRelight(Protocol):
-    """An application of materials and objects that :class:`Fit` relights."""
-
-    def relight(self, theta: Params, task: Task, directions: Tensor) -> Tensor:
-        """Return a fit under distant lamps, one at a time, linear RGB [K, 3, H, W] in [0, 1].
-
-        Args:
-            theta: the parameters of the fit, without a task axis.
-            task: the task of the fit, with its photographs.
-            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
-        """
 
 
 class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
@@ -174,7 +144,7 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
 
     def forget(self) -> None:
         """Drop the parameters and the task of a fit that was written: they are read again where they are needed."""
-        for name in ("parameters", "task", "maps", "presenter", "_distilled"):
+        for name in ("parameters", "task", "maps", "presenter", "asset", "_distilled"):
             vars(self).pop(name, None)
 
     # Figures
@@ -267,14 +237,12 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
-        app: object = self.app
-        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
-            angles = directions_to_four_angles(light, viewer).float()
-            values = app.reflectance(self.parameters, angles) if isinstance(app, HasReflectance) else None
-        if values is None:
+        if "reflectance" not in self.spec.application.assets:
             raise ValueError(
                 f"{self.name}: a fit of {self.spec.app}, expected one of brdf; take fit.maps or fit.picture()."
             )
+        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
+            values: Tensor = self.asset.evaluate(directions_to_four_angles(light, viewer).float())
         values = values * ((light[:, 2:] > 0) & (viewer[:, 2:] > 0))
         return values if isinstance(wi, Tensor) else values.numpy()
 
@@ -288,7 +256,7 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
         `metapp meta` writes.
         """
         with torch_defaults(single=self.app.small_tensors):
-            maps = self.presenter.linear_maps(self.parameters, self.task)
+            maps = self.asset.linear_maps()
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def relight(self, directions: object) -> np.ndarray:
@@ -307,15 +275,15 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
             ValueError: the fit is of another application, or its photographs are no longer there; the vectors have
                 another length or shape.
         """
-        lamps, app = unit_vectors(self.name, directions, "directions"), self.app
-        if not isinstance(app, CanRelight):
+        lamps = unit_vectors(self.name, directions, "directions").float()
+        if "surface" not in self.spec.application.assets:
             raise ValueError(
                 f"{self.name}: a fit of {self.spec.app}, expected one of svbrdf_nonstationary; take fit.picture()."
             )
         if not self.task.data:
             raise ValueError(f"{self.name}: no photos any more, expected those that were fitted; bring them back.")
-        with torch_defaults(single=self.app.small_tensors):
-            pictures = app.relight(self.parameters, self.task, lamps.float())
+        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
+            pictures = self._relightable.relight(lamps)
         return np.ascontiguousarray(pictures.permute(0, 2, 3, 1).numpy())
 
     def preview(self) -> dict[str, Tensor]:
@@ -393,7 +361,8 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
         """
         with torch.no_grad():
             renders, lines = render_outputs(self.spec, self.app, self.task, self.parameters)
-            write_pictures(self.presenter.pictures(self.parameters, self.task) | renders, folder)
+            pictures = self.asset.pictures() if self.spec.application.assets else {}
+            write_pictures(pictures | renders, folder)
         return [f"{self.name}: {line}" for line in lines]
 
     def export(self, form: str, path: str | bytes | PathLike[str], *, overwrite: bool = False) -> Path:
@@ -438,23 +407,55 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
             ValueError: the format cannot hold this fit.
             OSError: the files cannot be written.
         """
+        kind, entry = registry().exports_of(self.spec.application)[form]
         with torch_defaults(single=self.app.small_tensors), torch.no_grad():
-            entry = self.spec.application.exports[form]
-            write = entry.load()
-            if entry.of_surface:
-                surface = self.presenter.surface(self.parameters, self.task)
-                assert surface is not None, f"{self.spec.app} has no surface"
-                write(surface, path, {"task": self.name, **self.settings})
-            elif entry.of_task:
-                write(self.app, self.task, path)
-            else:
-                is_of_other_network = entry.holds and set(self.parameters) != set(entry.holds)
-                write(self.app, self._distilled if is_of_other_network else self.parameters, path)
+            asset = self.make_asset(kind)
+            if entry.holds and set(asset.theta) != set(entry.holds):
+                asset = self._distilled
+            entry.load()(asset, path, {"task": self.name, **self.settings})
+
+    def make_asset(self, kind: str) -> Any:
+        """Return an asset of the fit, at the size of files.
+
+        Args:
+            kind: the name of the type of asset, a key of `Application.assets`.
+
+        Raises:
+            KeyError: the asset needs data of the input, which is not at hand.
+            ValueError: the fit has no such asset.
+        """
+        if "asset" in vars(self) and self.asset.kind == kind:
+            return self.asset
+        if not self.spec.paradigm:
+            raise ValueError(
+                f"{self.name}: the answer of a baseline, which only its own command can write, expected a {kind} of a "
+                "fit; give metapp baseline the option --export."
+            )
+        make, options = self.spec.application.assets[kind].load(), self.spec.app_options
+        with torch.no_grad():
+            return options.adapt_asset(make(self.app, self.parameters, self.task, getattr(options, "size", None)))
 
     @functools.cached_property
-    def _distilled(self) -> Params:
-        """The parameters of the application's usual network, distilled from the fit."""
-        return distill(self.presenter, self.task, self.parameters)
+    def asset(self) -> Any:
+        """What the fit is for, a :class:`metapp.appearance.assets.Asset` at the size of files.
+
+        Raises:
+            KeyError: the asset needs data of the input, which is not at hand.
+        """
+        return self.make_asset(next(iter(self.spec.application.assets)))
+
+    @property
+    def _relightable(self) -> Any:
+        """The photographs under many lamps that the fit saw, or else its surface, which can be relit, too."""
+        if "lit photos" in self.spec.application.assets:
+            with contextlib.suppress(ValueError):
+                return self.make_asset("lit photos")
+        return self.make_asset("surface")
+
+    @functools.cached_property
+    def _distilled(self) -> Any:
+        """The asset of the application's usual network, distilled from the fit."""
+        return distill(self.spec.app, self.asset, self.task, self.error)
 
 
 def _unpickle_fit(record: bytes, held: Mapping[str, Any]) -> Fit:

@@ -19,7 +19,7 @@ from metapp.entries import did_you_mean
 from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
-from metapp.options import FIT, INPUT, OUTPUT, BadOption, options_by_name
+from metapp.options import FIT, INPUT, BadOption, options_by_name
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.methods import number_of_steps
 from metapp.runs.checkpoints import checkpoint_digest, has_shipped_recipe, usual_recipe
@@ -133,7 +133,7 @@ def presenter_of(spec: Spec, app: App) -> Presenter[Any]:
         BadOption: files of the application cannot have the size that its options ask for.
     """
     try:
-        presenter: Presenter[Any] = spec.application.make_presenter(app, spec.app_options.non_default_values(OUTPUT))
+        presenter: Presenter[Any] = spec.application.presenter.load()(app, spec.application, spec.app_options)
     except ValueError as error:
         raise BadOption(str(error)) from None
     return presenter

@@ -245,11 +245,11 @@ def check_export(name: str, application: Application) -> None:
     Raises:
         BadOption: the application has no such format, or a library for it is missing.
     """
-    forms = sorted(application.exports)
+    forms = registry().exports_of(application)
     if name not in forms:
         expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
         raise BadOption(f"--export '{name}': {application.name} {expected}.{did_you_mean(name, forms)}")
-    needs = application.exports[name].needs
+    needs = forms[name][1].needs
     if needs and not importlib.util.find_spec(needs[0]):
         raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
 

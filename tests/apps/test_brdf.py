@@ -16,7 +16,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
-from tests.recipe_apps import recipes_of
+from tests.recipe_apps import asset_of, recipes_of
 
 APP = Brdf()
 
@@ -103,7 +103,7 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
     held_out = slice(SAMPLES // 2, None)
     for task, material in enumerate(materials):
         single = {key: value[task] for key, value in theta.items()}
-        export(APP, single, tmp_path / material.name)
+        export(asset_of(APP, single, material), tmp_path / material.name, {})
         published = evaluate_nbrdf(read_nbrdf(tmp_path / material.name), angles)
         torch.testing.assert_close(APP.reflectance(single, angles), published, rtol=1e-5, atol=1e-5)
         cosine, truth = angle_cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]

@@ -35,7 +35,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene.relighting import relight
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import asset_of
 
 pytestmark = pytest.mark.usefixtures("second_scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
@@ -268,7 +268,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks) -> No
 def test_maps_are_written_at_the_scale_of_the_input(rng: Generator) -> None:
     app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
-    files = presenter_of(app).pictures(theta, task_of(lamps(0)))
+    files = asset_of(app, theta, task_of(lamps(0))).pictures()
     fitted = app.decoder({key: value[None] for key, value in theta.items()}).maps[0]
     fitted = fitted / mean_luminance(fitted[None])[0]  # 1, as all that are fitted; 3 is the file's
     torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))

@@ -23,7 +23,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import fetch_pieces
-from tests.recipe_apps import presenter_of, recipes_of
+from tests.recipe_apps import asset_of, presenter_of, recipes_of
 
 APP = QuiltedSvbrdf(
     Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3),
@@ -182,7 +182,7 @@ def test_maps_without_the_photograph_have_the_size_of_the_quilt(tasks: Tasks) ->
 def test_files_and_records_are_of_the_photograph(task: Task, tasks: Tasks) -> None:
     theta = {key: value[0] for key, value in silent_fit(tasks).items()}
     presenter = presenter_of(APP)
-    assert presenter.pictures(theta, task)["diffuse"].pixels.shape[:2] == (128, 128)
+    assert asset_of(APP, theta, task).pictures()["diffuse"].pixels.shape[:2] == (128, 128)
     assert APP.photo_share(task, None) == 1
     assert APP.photo_share(task, (256, 256)) == 0.5
     assert 0.3 < presenter.remarks(theta, task)["copied"] <= 1  # type: ignore[operator]

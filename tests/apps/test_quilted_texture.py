@@ -24,7 +24,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, fetch_pieces
 from metapp.paradigms.methods import fit_tasks, make_method
-from tests.recipe_apps import presenter_of, recipes_of
+from tests.recipe_apps import asset_of, presenter_of, recipes_of
 
 ROOT = Path(__file__).parent.parent.parent / "metapp"
 APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
@@ -127,8 +127,8 @@ def test_files_have_the_resolution_of_the_photograph(task: Task, theta: Params) 
 
 @pytest.mark.parametrize("size", [(256, 128), (384, 384), (100, 300)])
 def test_other_sizes_have_structures_of_equal_size(task: Task, theta: Params, size: tuple[int, int]) -> None:
-    presenter = presenter_of(APP, {"size": size})
-    picture = presenter.pictures({key: value[0] for key, value in theta.items()}, task)["texture"].pixels
+    asset = asset_of(APP, {key: value[0] for key, value in theta.items()}, task, {"size": size})
+    picture = asset.pictures()["texture"].pixels
     assert tuple(picture.shape) == (*size, 3)
     detail = [
         float(values.diff(dim=-1).abs().mean()) for values in (picture.movedim(-1, 0), task.data["image"].float() / 255)

@@ -26,7 +26,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import asset_of, presenter_of
 
 SIZE = 32
 TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
@@ -196,7 +196,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
 def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     app = TINY
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    pictures = presenter_of(app).pictures(theta, sources[0])
+    pictures = asset_of(app, theta, sources[0]).pictures()
     files = {name: picture.pixels for name, picture in pictures.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
     assert list(files) == [*names, *(f"lit_from_{name}" for name in relighting_positions())]
@@ -236,11 +236,12 @@ def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor
     """
     theta = {key: value[0] for key, value in TINY.init(seeded(), 1).items()}
     plain, steeper = presenter_of(TINY), presenter_of(TINY, {"relief": factor})
-    before, after = (presenter.linear_maps(theta, sources[0]) for presenter in (plain, steeper))
+    assets = [asset_of(TINY, theta, sources[0], options) for options in ({}, {"relief": factor})]
+    before, after = (asset.linear_maps() for asset in assets)
     torch.testing.assert_close(after["height"], factor * before["height"])
     slopes = [maps["normal"][..., :2] / maps["normal"][..., 2:] for maps in (before, after)]
     torch.testing.assert_close(slopes[1], factor * slopes[0])
-    shown = steeper.pictures(theta, sources[0])["normal"].pixels
+    shown = assets[1].pictures()["normal"].pixels
     torch.testing.assert_close(shown, after["normal"] * 0.5 + 0.5)
     fits = [presenter.preview(theta, sources[0]) for presenter in (plain, steeper)]
     same = {name for name, picture in fits[0].items() if torch.equal(picture, fits[1][name])}
@@ -254,7 +255,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """The highlight of a flat material is where light and viewer mirror each other."""
     app = TINY
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    pictures = presenter_of(app).pictures(theta, sources[0])
+    pictures = asset_of(app, theta, sources[0]).pictures()
     files = {name: picture.pixels for name, picture in pictures.items()}
     assert files["height"].max() == 0
     places = texel_positions(FILE_SIDE_TIMES * SIZE, FILE_SIDE_TIMES * SIZE).flatten(1)

@@ -15,7 +15,7 @@ from tests.recipe_apps import exports_of
 from tests.small_spheres import run_with_small_spheres
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
-FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
+FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, osl, wgsl"
 FILES = {
     "nbrdf": ["{}/fc1.npy"],
     "merl": ["{}.binary"],
@@ -24,7 +24,6 @@ FILES = {
     "mitsuba": ["{}/{}.xml", "{}/{}_builtin.xml", "{}/{}.safetensors", "{}/{}.bsdf"],
     "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
     "cpp": ["{0}.h"],
-    "onnx": ["{0}.onnx"],
     **{form: [f"{{0}}.{form}"] for form in ("glsl", "hlsl", "osl", "wgsl")},
 }
 

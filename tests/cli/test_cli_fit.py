@@ -73,8 +73,8 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
     folder = Path(fit("general", *STEPS, "--json").json_result["out"])
 
     if full:
-        merl = replace(registry().applications["brdf"].exports["merl"], reference=f"{__name__}:write_to_a_full_disk")
-        monkeypatch.setitem(registry().applications["brdf"].exports, "merl", merl)
+        merl = replace(registry().exports["reflectance", "merl"], reference=f"{__name__}:write_to_a_full_disk")
+        monkeypatch.setitem(registry().exports, ("reflectance", "merl"), merl)
     else:
         for name in ("m4", "m9"):
             (folder / name / "merl").touch()

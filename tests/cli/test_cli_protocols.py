@@ -226,7 +226,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = replace(exports_of(SVBRDF)["asset"], needs=("no_such_module", "no-such-package"))
-    monkeypatch.setitem(registry().applications[SVBRDF].exports, "asset", form)
+    monkeypatch.setitem(registry().exports, ("surface", "asset"), form)
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert says(misuse, "--export asset", "no-such-package", 'pip install "metapp[export]"')
     assert not Path("runs").exists()

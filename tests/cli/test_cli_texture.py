@@ -24,7 +24,7 @@ from metapp.runs.stored_fits import read_fits
 from tests.appearance.test_features import random_weights
 from tests.cli.messages import says
 from tests.pictures import write_noise_photo
-from tests.recipe_apps import app_by_recipe, presenter_of
+from tests.recipe_apps import app_by_recipe, asset_of
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {
@@ -125,7 +125,7 @@ def test_files_are_written_in_the_size_asked_for(app: str, data: str, metapp: Ca
 def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, wall: Path) -> None:
     run = Path(metapp("overfit", app, wall, "--data", data, "--json").json_result["out"])
     result, theta = run / "wall", load_file(run / "wall" / "params.safetensors")
-    files = presenter_of(app_by_recipe(app)).pictures(theta, Task("wall", {}))
+    files = asset_of(app_by_recipe(app), theta, Task("wall", {})).pictures()
     expected = {name: torch.movedim(buffer.pixels, -1, 0) for name, buffer in files.items()}
     found = unpack_maps(read_task(result / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):

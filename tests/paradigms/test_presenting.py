@@ -16,7 +16,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.storage.files import file_name
 from tests.paradigms.small import seeded_generator
-from tests.recipe_apps import observations_of, presenter_of, recipes_of
+from tests.recipe_apps import application, asset_of, observations_of, presenter_of, recipes_of
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
@@ -85,11 +85,11 @@ def test_tiles_of_a_run_are_named_linear_pictures(
     assert presenter.photo_comparison(fitted_parameters, sources[0]) is None
 
 
-def test_files_are_what_their_kind_says(
-    presenter: Presenter[Any], fitted_parameters: Params, sources: list[Task]
-) -> None:
+def test_files_are_what_their_kind_says(app: App, fitted_parameters: Params, sources: list[Task]) -> None:
     """Their names suit every file system, also those that ignore case."""
-    pictures = presenter.pictures(fitted_parameters, sources[0])
+    asset = asset_of(app, fitted_parameters, sources[0])
+    assert asset.kind in application(app.name).assets
+    pictures = asset.pictures()
     for name, (pixels, kind) in pictures.items():
         assert kind in PICTURE_KINDS, name
         assert pixels.ndim == 3, name
@@ -101,7 +101,7 @@ def test_files_are_what_their_kind_says(
         assert name.replace("_", "").isalnum(), name
         assert name.isascii(), name
         assert name == file_name(name) == name.lower(), name
-    again = presenter.pictures(fitted_parameters, sources[0])
+    again = asset_of(app, fitted_parameters, sources[0]).pictures()
     assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in pictures.items())
 
 

@@ -169,7 +169,7 @@ def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -
             assert file == tmp_path / form / f"{name.removesuffix(f'.{form}')}.{form}"
             assert file.is_file()
         assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
-    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, osl, wgsl"
     with pytest.raises(ValueError, match=f"--export 'blend': brdf expects one of {forms}"):
         general.export("blend", tmp_path / "x")
 

@@ -27,12 +27,13 @@ def register(registry: Registry) -> None:
         title="Curve",
         help="Curves: a network of one variable.",
         app=Lazy("metapp_curve.app:Curve"),
-        presenter=Lazy("metapp_curve.presenter:CurvePresenter"),
+        assets={"curve": Lazy("metapp_curve.plot:make_plot")},
+        presenter=Lazy("metapp_curve.plot:CurvePresenter"),
     )
     for name in ("quick", "paper"):
         curve.recipes[name] = RecipeEntry(f"metapp_curve.recipes:RECIPES.{name}")
     curve.formats["curve"] = Format("metapp_curve.files", ".curve files of 32 numbers")
-    curve.exports["csv"] = Export("metapp_curve.files:export")
     curve.baselines["line"] = Lazy("metapp_curve.line:baselines")
     registry.add(curve)
+    registry.exports["curve", "csv"] = Export("metapp_curve.plot:write_csv")
     registry.commands["data curve"] = Command("metapp_curve:Curve")

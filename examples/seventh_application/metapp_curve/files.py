@@ -1,4 +1,4 @@
-"""Curves as text files: one number y a line, evenly spaced in x; and the export of fits as CSV."""
+"""Curves as text files: one number y a line, evenly spaced in x."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from data_tools.readers.input_source import Source, Sources
 
 if TYPE_CHECKING:
-    from metapp.learning.task import Params, Task
-    from metapp_curve.app import Curve
+    from metapp.learning.task import Task
 
 UNITS = {"y": "1"}
 
@@ -42,17 +41,3 @@ def read_task(path: Path) -> Task:
     if len(values) != 32:
         raise ValueError(f"{path}: {len(values)} numbers, expected 32; resample the curve.")
     return Task(path.stem, {"y": torch.tensor(values)})
-
-
-def export(app: Curve, theta: Params, path: Path) -> None:
-    """Write x and y of a fit as <path>.csv, a line a sample."""
-    import torch
-
-    from metapp.learning.task import add_task_axis
-
-    parameters = add_task_axis(theta)
-    x = torch.linspace(-1, 1, 32)
-    rows = zip(x.tolist(), app.decoder.evaluate(parameters, x[None, None])[0, 0].tolist(), strict=True)
-    lines = ["x,y", *(f"{x:.6g},{y:.6g}" for x, y in rows)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".csv").write_text("\n".join(lines) + "\n")

@@ -23,6 +23,7 @@ def register(registry: Registry) -> None:
         help="BRDFs: reflectance of a material over pairs of directions.",
         app=Lazy("metapp.apps.brdf.app:Brdf"),
         options=Lazy("metapp.apps.brdf.options:BrdfOptions"),
+        assets={"reflectance": Lazy("metapp.apps.brdf.reflectance:make_reflectance")},
         presenter=Lazy("metapp.apps.brdf.presenter:BrdfPresenter"),
         facts=Lazy("data_tools.readers.brdf_task:facts_of"),
         read_object=Lazy("data_tools.readers.brdf_objects:task_of_object"),
@@ -51,8 +52,10 @@ def register(registry: Registry) -> None:
     brdf.formats["merl"] = Format("data_tools.readers.merl", "MERL .binary files")
     brdf.formats["nbrdf"] = Format("data_tools.readers.nbrdf_files", "NBRDF networks (.h5, folders of .npy)")
     brdf.formats["gonio"] = Format("data_tools.readers.gonio", "goniometer .csv files")
-    brdf.exports["merl"] = Export("data_tools.readers.merl:export")
-    brdf.exports["nbrdf"] = Export("data_tools.readers.nbrdf_files:export", holds=("w1", "w2", "w3", "b1", "b2", "b3"))
+    registry.exports["reflectance", "merl"] = Export("data_tools.readers.merl:export")
+    registry.exports["reflectance", "nbrdf"] = Export(
+        "data_tools.readers.nbrdf_files:export", holds=("w1", "w2", "w3", "b1", "b2", "b3")
+    )
     registry.add(brdf)
     registry.commands["data merl"] = Command("data_tools.converters:MerlConverter", position=20)
     registry.commands["data nbrdf"] = Command("data_tools.converters:NbrdfConverter", position=50)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
@@ -88,19 +87,3 @@ class Brdf(ComposedApp):
             angles: half and difference angles, and phi_h of anisotropic fits, [..., 3 or 4] in rad.
         """
         return self.network.evaluate(theta, angles)
-
-    def require_isotropic(self, subject: str | Path, form: str) -> None:
-        """Refuse to write an anisotropic fit in a form that has no phi_h.
-
-        Args:
-            subject: the fit's name or file, which begins the message.
-            form: the form, as the subject of "has no phi_h".
-
-        Raises:
-            ValueError: the fit is anisotropic.
-        """
-        if self.network.anisotropic:
-            raise ValueError(
-                f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
-                "mitsuba, or fit by --recipe full."
-            )

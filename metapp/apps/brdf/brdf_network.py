@@ -22,7 +22,7 @@ from metapp.learning.task import Batch, Params, Tasks, add_task_axis
 from metapp.registry import registry
 
 # A function of places `where` [T, 7, N] that returns reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr
-Reflectance = Callable[[Tensor], Tensor]
+ReflectanceFunction = Callable[[Tensor], Tensor]
 # columns of unit length: luminance, and two axes of colour
 _OPPONENT_AXES = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
 
@@ -86,7 +86,7 @@ class DistinctSamples(NamedTuple):
     distinct: Tensor
 
 
-class BrdfNetwork(Decoder[Reflectance, Any]):
+class BrdfNetwork(Decoder[ReflectanceFunction, Any]):
     """A network of BRDFs, the decoder of reflectance; an instance holds its size.
 
     `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
@@ -110,7 +110,7 @@ class BrdfNetwork(Decoder[Reflectance, Any]):
         return False
 
     @override
-    def __call__(self, theta: Params, seen: Any = None) -> Reflectance:
+    def __call__(self, theta: Params, seen: Any = None) -> ReflectanceFunction:
         """Return the function of places `where` [T, 7, N] that is reflectance, see :meth:`reflectance`."""
         return functools.partial(self.reflectance, theta)
 

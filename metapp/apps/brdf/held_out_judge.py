@@ -9,13 +9,13 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.apps.brdf.brdf_network import BrdfNetwork, Reflectance, ReflectanceSamples, gather_samples
+from metapp.apps.brdf.brdf_network import BrdfNetwork, ReflectanceFunction, ReflectanceSamples, gather_samples
 from metapp.learning.composed import Judge
 from metapp.learning.task import Task, Tasks
 
 
 @dataclass(frozen=True)
-class HeldOutJudge(Judge[Reflectance, Any, ReflectanceSamples]):
+class HeldOutJudge(Judge[ReflectanceFunction, Any, ReflectanceSamples]):
     """The judge of reflectance at held-out samples."""
 
     truth_type = sampled_type = ReflectanceSamples
@@ -42,7 +42,7 @@ class HeldOutJudge(Judge[Reflectance, Any, ReflectanceSamples]):
         return gather_samples(tasks, rows)
 
     @override
-    def query(self, answer: Reflectance, truth: ReflectanceSamples) -> Tensor:
+    def query(self, answer: ReflectanceFunction, truth: ReflectanceSamples) -> Tensor:
         """Return reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""
         return answer(truth.where).clamp_min(0)
 

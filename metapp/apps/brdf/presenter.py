@@ -14,7 +14,6 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import composite_to_srgb
-from metapp.appearance.geometry import quasirandom_angles
 from metapp.appearance.pictures import PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
@@ -23,14 +22,12 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.highlight import MANY_SAMPLES, describe_guessed_highlight, describe_unseen_highlight
-from metapp.apps.brdf.sample_augmentation import AUGMENTED_SAMPLES
 from metapp.learning.task import Params, Task, Tasks
 
 DRAWN_SAMPLES = 1024  # samples in a picture, at most
 SAMPLES_SIDE_PX, DOT_PX = 96, 3  # sides of a picture of samples, and of the square that shows a sample
 EXCESSIVE_REFLECTANCE = 2.0  # 1/sr of half of the samples: six times what a white matte surface reflects
 EXCESSIVE_ALBEDO = 1.01  # the share of reflected light above which a note says so
-SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
 class BrdfPresenter(Presenter[Brdf]):
@@ -115,19 +112,6 @@ class BrdfPresenter(Presenter[Brdf]):
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         # the first half of the samples, three angles and a colour each
         return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, self.app.encoder.samples)
-
-    @override
-    def sample_fit(self, theta: Params, task: Task) -> Task:
-        """Return the task with the reflectance of its fit, at its own angles, or at angles all over if it has few.
-
-        Raises:
-            ValueError: the fit is anisotropic.
-        """
-        self.app.require_isotropic(task.name, "the NBRDF network")
-        angles = task.data["angles"]
-        if len(angles) <= SPARSE_SAMPLES:
-            angles = quasirandom_angles(AUGMENTED_SAMPLES)
-        return task._replace(data=task.data | {"angles": angles, "reflectance": self.app.reflectance(theta, angles)})
 
 
 def describe_highlight(theta: Params, task: Task) -> str:

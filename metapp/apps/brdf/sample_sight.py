@@ -18,7 +18,7 @@ from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.brdf_network import (
     BrdfNetwork,
     DistinctSamples,
-    Reflectance,
+    ReflectanceFunction,
     ReflectanceSamples,
     gather_samples,
     opponent_axes,
@@ -35,7 +35,7 @@ INITIAL_SMOOTHING = 0.05  # of |d| in losses, before a rule has learned it
 
 
 @dataclass(frozen=True)
-class SampleSight(Sight[Reflectance, Any]):
+class SampleSight(Sight[ReflectanceFunction, Any]):
     """The sight of random samples of the first half of each task's."""
 
     seen_type: ClassVar[type[Any]] = ReflectanceSamples
@@ -65,7 +65,7 @@ class SampleSight(Sight[Reflectance, Any]):
         return gather_samples(tasks, rows)
 
     @override
-    def loss(self, answer: Reflectance, seen: Any, loss_parameters: Params) -> Tensor:
+    def loss(self, answer: ReflectanceFunction, seen: Any, loss_parameters: Params) -> Tensor:
         """Return the mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| of each task, [T].
 
         The learned `smoothing` [T], log s, replaces |d| by sqrt(d^2 + s^2) - s, whose curvature at sign changes

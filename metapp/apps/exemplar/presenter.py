@@ -7,7 +7,6 @@ network's output.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
 import torch
@@ -34,7 +33,6 @@ GeneratingApp = TypeVar("GeneratingApp", bound=ExemplarApp)
 Generated = TypeVar("Generated")
 
 
-@dataclass(frozen=True)
 class ExemplarPresenter(Presenter[GeneratingApp]):
     """The presenter of pictures or maps that a network generates from noise, like one exemplar.
 

@@ -22,6 +22,7 @@ def register(registry: Registry) -> None:
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         app=Lazy("metapp.apps.illumination.app:Illumination"),
         options=Lazy("metapp.apps.illumination.options:IlluminationOptions"),
+        assets={"radiance": Lazy("metapp.apps.illumination.radiance:make_radiance")},
         presenter=Lazy("metapp.apps.illumination.presenter:IlluminationPresenter"),
         facts=Lazy("data_tools.readers.environment_maps:facts_of"),
         read_object=Lazy("data_tools.readers.environment_maps:task_of_object"),

@@ -93,10 +93,10 @@ class BallSight(LightSight[SeenBall]):
         return normalise_luminance(complete_maps(answer.maps, seen.mirror))
 
     @override
-    def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
-        """Return the map [1, 3, H, W] of mean luminance 1, with the light in a mirror if the task holds it."""
-        light = read_mirror_light(task, *answer.maps.shape[-2:])
-        return normalise_luminance(complete_maps(answer.maps, MirrorLight(*(tensor[None] for tensor in light))))
+    def look(self, task: Task, decoder: LightField) -> SeenBall:
+        """Return the light in a mirror, if the task holds it, without the photograph, which completes nothing."""
+        light = read_mirror_light(task, decoder.network.height, decoder.network.width)
+        return SeenBall(light[0].new_zeros(()), *(tensor[None] for tensor in light))
 
     @override
     def show_photo(self, task: Task) -> Tensor:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from torch import Tensor
 
 from metapp.appearance.pictures import PictureComparison, VisibleData
-from metapp.apps.illumination.lighting import Lighting
+from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.radiance_losses import TrueMap
 from metapp.learning.composed import Sight
 from metapp.learning.task import Task
@@ -28,14 +28,14 @@ class LightSight(Sight[Lighting, Seen]):
             photos: photographs of the spheres, none of them a mirror, uint8 [T, 3, S, S].
         """
 
-    @abstractmethod
-    def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
-        """Return the map [1, 3, H, W] of a file, of mean luminance 1, at the size of the answer.
+    def look(self, task: Task, decoder: LightField) -> Any:
+        """Return what completes the answer of one fit, [1, ...]. The default is nothing.
 
         Args:
-            answer: the answer of one fit.
             task: the task of the fit, which may lack all data.
+            decoder: the decoder, whose maps may have another size than those of fits.
         """
+        return None
 
     def show_photo(self, task: Task) -> Tensor | None:
         """Return the photograph of a task that a fit sees, display values [3, S, S]. The default is None."""

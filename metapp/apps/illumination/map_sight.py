@@ -101,10 +101,6 @@ class MapSight(LightSight[SeenMap]):
         return normalise_luminance(answer.maps)
 
     @override
-    def complete_for_file(self, answer: Lighting, task: Task) -> Tensor:
-        return normalise_luminance(answer.maps)
-
-    @override
     def describe_visible(self, task: Task) -> VisibleData:
         """Return what steps see, all of the map; General's encoder reads the photograph alone."""
         return VisibleData(1, task.data["map"].nbytes, 0)

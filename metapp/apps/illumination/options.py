@@ -30,6 +30,11 @@ class IlluminationOptions(CameraOptions):
     pitch: Annotated[float, pitch_option()] = 0.0
 
     @override
+    def adapt_asset(self, asset: Any) -> Any:
+        """Turn the map so that its horizon lies level."""
+        return asset.level(self.pitch) if self.pitch else asset
+
+    @override
     def reader_keywords(self) -> dict[str, Any]:
         """Leave out the shutter times: readers read single photos, which are merged by them later."""
         return {name: value for name, value in super().reader_keywords().items() if name != "shutter"}

@@ -26,6 +26,10 @@ def register(registry: Registry) -> None:
         help="Maps of a flat material from one or several flash photographs.",
         app=Lazy("metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary"),
         options=Lazy("metapp.apps.picture_options:FlashOptions"),
+        assets={
+            "surface": Lazy("metapp.apps.svbrdf_nonstationary.material_surface:make_surface"),
+            "lit photos": Lazy("metapp.apps.svbrdf_nonstationary.rti.lit_photos:make_lit_photos"),
+        },
         presenter=Lazy("metapp.apps.svbrdf_nonstationary.presenter:SvbrdfNonstationaryPresenter"),
         facts=Lazy("data_tools.readers.svbrdf_task:facts_of"),
         read_object=Lazy("data_tools.readers.svbrdf_inputs:task_of_object"),

@@ -15,9 +15,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
-from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import photograph_by
-from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps, scale_size
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, photographed_size
@@ -130,21 +128,6 @@ class SvbrdfNonstationary(ComposedApp):
         answer = self.decode(theta, task, photos[:1])
         maps = self.sight.fill(answer, photos[:1])
         return torch.stack([photograph_by(flash, maps) for flash in answer.flash_of_each_photo()]), photos
-
-    @torch.no_grad()
-    def relight(self, theta: Params, task: Task, directions: Tensor) -> Tensor:
-        """Return a fit under distant lamps, one at a time, linear RGB [K, 3, H, W] in [0, 1], from straight above.
-
-        Args:
-            theta: the parameters of the fit, without a task axis.
-            task: the task of the fit.
-            directions: unit vectors towards K lamps, [K, 3]: x right, y up, z towards the camera.
-        """
-        photo = decode_photo(task.data["photo"])[None]
-        maps = self.sight.fill(self.decode(theta, task, photo), photo)
-        texels = Maps(*(part.flatten(2)[..., None] for part in maps))
-        pictures = torch.stack([render_lit(texels, lamp[None, None])[0, 0] for lamp in directions])
-        return pictures.clamp(0, 1).reshape(-1, 3, *maps.normal.shape[-2:])
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -61,9 +61,9 @@ class MaterialSight(Sight[Answer, Seen]):
         """Return the photographs that a fit sees, uint8 [N, 3, S, S]; None if it sees none."""
         return task.data["photo"][None]
 
-    def picture_names(self, task: Task) -> list[str]:
-        """Return names for pictures of a fit as each photograph shows it. The default is none, for one photograph."""
-        return []
+    def lit_photos(self, task: Task) -> Any:
+        """Return the photographs under many lamps that a fit sees, `LitPhotos`. The default is None."""
+        return None
 
     def fit_remarks(self, answer: Answer, task: Task) -> dict[str, object]:
         """Return remarks on the answer of one fit, by the names that records give them. The default is none."""

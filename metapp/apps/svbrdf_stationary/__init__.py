@@ -21,6 +21,7 @@ def register(registry: Registry) -> None:
         help="Tiling maps of a flat material from one flash photograph.",
         app=Lazy("metapp.apps.svbrdf_stationary.app:SvbrdfStationary"),
         options=Lazy("metapp.apps.svbrdf_stationary.options:FlashExemplarOptions"),
+        assets={"surface": Lazy("metapp.apps.svbrdf_stationary.tile_surface:make_surface")},
         presenter=Lazy("metapp.apps.svbrdf_stationary.presenter:SvbrdfStationaryPresenter"),
         read_object=Lazy("data_tools.readers.flash_photos:task_of_object"),
         synthetic=SyntheticSet(

@@ -7,25 +7,23 @@ about highlights that clip in the photo, and about relief.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
+from metapp.appearance.assets import Surface
 from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
 from metapp.appearance.flash import relighting_positions
-from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.lattice import remove_quadratic_trend
-from metapp.appearance.pictures import Picture, PictureComparison
-from metapp.appearance.surface import Surface, map_pictures, scale_relief
+from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.exemplar.breaks import break_strength
 from metapp.apps.exemplar.presenter import ExemplarPresenter, remedy_for
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
-from metapp.learning.task import Params, Task, Tasks, add_task_axis
+from metapp.learning.task import Params, Task, Tasks
 
 # Strength of a picture's lines over the photo's, below which lines are broken
 MIN_LINE_STRENGTH = 0.85
@@ -37,16 +35,9 @@ UNMOVED_NOISE = -9.0  # of the numbers that say how far tiles are moved: not at 
 MIN_DOUBTED_TILT_DEGREES = 1.0
 
 
-@dataclass(frozen=True)
 class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
-    """The presenter of maps that tile: beside their flash photograph, and under other lights.
+    """The presenter of maps that tile: beside their flash photograph, and under other lights."""
 
-    Attributes:
-        relief: the factor of slopes of normals and of heights in files and in pictures of maps; errors, and
-            pictures beside the photo, are without it.
-    """
-
-    relief: float = 1.0
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
     min_line_strength = MIN_LINE_STRENGTH
 
@@ -59,8 +50,8 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         maps, height = self._generate_material(theta)
         fit = statistics.photograph(maps, light[0], light[0])
         displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
-        pictures = map_pictures(scale_relief(maps, self.relief), self.relief * height, falloff=FLASH_FALLOFF)
-        displayed |= {name: picture.pixels for name, picture in pictures.items()}
+        surface = self.options.adapt_asset(Surface(maps, True, height, FLASH_FALLOFF))
+        displayed |= {name: picture.pixels for name, picture in surface.pictures().items()}
         displayed["height"] = stretch_to_unit_range(displayed["height"])[0]
         return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
 
@@ -74,24 +65,6 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         light, maps = statistics.find_light(references[:1])[0], self._generate_material(theta)[0]
         pairs = [(light, light), *relighting_positions(device=light.device).values()][: len(references)]
         return PictureComparison(torch.stack([statistics.photograph(maps, *pair) for pair in pairs]), references)
-
-    @override
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Return maps that tile, and photographs of them under other lights."""
-        return map_pictures(*self._shown_maps(theta, task), falloff=FLASH_FALLOFF)
-
-    @override
-    def prediction_pictures(self, prediction: Maps | Tensor, task: Task) -> dict[str, Picture]:
-        """Return pictures of the first of maps [1, B, ...], which tile, or the first of photographs [1, B, 3, H, W]."""
-        if not isinstance(prediction, Maps):
-            return {"photo": Picture(prediction[0, 0].permute(1, 2, 0), "srgb")}
-        maps = Maps(*(part[0, 0] for part in prediction))
-        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FLASH_FALLOFF)
-
-    @override
-    def surface(self, theta: Params, task: Task) -> Surface:
-        maps, height = self._shown_maps(theta, task)
-        return Surface(maps.diffuse, True, maps, height)
 
     @override
     @torch.no_grad()
@@ -128,11 +101,6 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         even = [remove_quadratic_trend(photo) for photo in self.app.statistics.even_light(exemplars, data)]
         noise = torch.full_like(self.app.shown_noise(tasks.rows), UNMOVED_NOISE)
         return self.app.generate(theta | {"quilt": torch.stack(even)}, noise).normal[:, 0]
-
-    def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        """Return maps [C, H, W] and height [1, H, W] in texels at the size of files, scaled by `relief`."""
-        maps, height = self.cache_last(theta, task, lambda: self.app.draw_maps(add_task_axis(theta), task, self.size))
-        return scale_relief(maps, self.relief), self.relief * height
 
     def _generate_material(self, theta: Params) -> tuple[Maps, Tensor]:
         """Generate maps [C, H, W] of one material at the exemplar's size, and their height [1, H, W] in texels."""

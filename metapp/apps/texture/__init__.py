@@ -19,6 +19,7 @@ def register(registry: Registry) -> None:
         help="Textures that look like the photograph of an exemplar.",
         app=Lazy("metapp.apps.texture.app:Texture"),
         options=Lazy("metapp.apps.exemplar.options:ExemplarOptions"),
+        assets={"texture": Lazy("metapp.apps.texture.tile:make_texture")},
         presenter=Lazy("metapp.apps.texture.presenter:TexturePresenter"),
         read_object=Lazy("data_tools.readers.square_photos:task_of_object"),
         synthetic=SyntheticSet(

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.pictures import Picture, TimedFit, VisibleData
+from metapp.appearance.pictures import TimedFit, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import density_pictures, guided_pictures
 from metapp.apps.transport.app import Transport
+from metapp.apps.transport.path_density import PathDensity
 from metapp.learning.task import Params, Task
 
 NEXT_EVENT_NOTE = (
@@ -41,27 +42,11 @@ class TransportPresenter(Presenter[Transport]):
         On the film there are the scene's picture and a picture that the fit guides; if there is no scene, the
         densities.
         """
-        network, reference, guided = self.app.decoder.network, None, None
-        if "scene" in task.data:
-            renderer = guided_pictures.renderer_of(task)
-            reference = renderer.noisy_reference
-            guided = renderer.render_guided(network, theta, self.app.overview_spp).picture
+        reference = guided_pictures.renderer_of(task).noisy_reference if "scene" in task.data else None
         return {
             "reference": density_pictures.draw_sample_histograms(task.data["samples"], reference),
-            "fit": density_pictures.draw_flow_density(network, theta, guided),
+            "fit": PathDensity(self.app, theta, task).preview(),
         }
-
-    @override
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Return the scene guided by the fit and without a guide; {} if there is no scene."""
-        if "scene" not in task.data:
-            return {}
-        renderer, spp = guided_pictures.renderer_of(task), self.app.shown_spp
-        timed_pictures = {
-            "guided": renderer.render_guided(self.app.decoder.network, theta, spp),
-            "regular": renderer.render_regular(spp),
-        }
-        return {name: Picture(timed.picture.permute(1, 2, 0), "radiance") for name, timed in timed_pictures.items()}
 
     @override
     def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:

@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from metapp.appearance.surface import DIELECTRIC_F0, Surface
+from metapp.appearance.assets import Surface
+from metapp.appearance.surface import DIELECTRIC_F0
 from metapp.extensions.assets.planes import all_surface_maps
 from metapp.extensions.assets.surface_pictures import write_surface_map
 from metapp.storage.files import add_suffix, read_bytes, to_json_value, write_bytes
@@ -112,7 +113,6 @@ def encode_glb(surface: Surface, name: str, provenance: Mapping[str, object]) ->
 
 def highest_f0(surface: Surface) -> float:
     """Return the greatest F0 of all texels and channels, at least 1e-4; the picture of F0 is divided by it."""
-    assert surface.maps is not None
     return max(float(surface.maps.specular.max()), 1e-4)
 
 

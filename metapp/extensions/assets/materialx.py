@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from metapp.appearance.surface import Surface
+from metapp.appearance.assets import Surface
 from metapp.extensions.assets.planes import fitted_surface_maps
 from metapp.extensions.assets.surface_pictures import describe_provenance, fill_in_name, write_surface_maps
 from metapp.storage.xml_files import write_xml

@@ -11,8 +11,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
+from metapp.appearance.assets import Surface
 from metapp.appearance.flash import camera_distance
-from metapp.appearance.surface import Surface
 from metapp.extensions.assets.planes import all_surface_maps
 from metapp.extensions.assets.surface_pictures import fill_in_name, write_surface_maps
 from metapp.storage.xml_files import write_xml

@@ -10,7 +10,8 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.appearance.surface import DIELECTRIC_F0, Surface
+from metapp.appearance.assets import Surface, Texture
+from metapp.appearance.surface import DIELECTRIC_F0
 from metapp.extensions.assets.occlusion import occlusion_from_height
 
 Encoding = Literal["srgb", "linear", "stretched"]
@@ -31,9 +32,9 @@ class SurfaceMap(NamedTuple):
     meaning: str
 
 
-def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
+def fitted_surface_maps(surface: Surface | Texture) -> dict[str, SurfaceMap]:
     """Return the maps that were fitted, by name; heights are in texture widths and have a mean of 0."""
-    if surface.maps is None:
+    if isinstance(surface, Texture):
         return {"basecolor": SurfaceMap(surface.colour, "srgb", "colour")}
     maps = surface.maps
     return {
@@ -45,13 +46,13 @@ def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
     }
 
 
-def all_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
+def all_surface_maps(surface: Surface | Texture) -> dict[str, SurfaceMap]:
     """Return the fitted maps and those derived from them, by name.
 
     Derived are the maps of the metallic-roughness workflow, ambient occlusion, and normals as DirectX has them.
     """
     surface_maps = fitted_surface_maps(surface)
-    if surface.maps is None:
+    if isinstance(surface, Texture):
         return surface_maps
     base, metallic = specular_to_metallic(surface.maps.diffuse, surface.maps.specular)
     occlusion = occlusion_from_height(surface_maps["height"].values * surface.size[1], periodic=surface.tiles)

@@ -26,9 +26,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from metapp.appearance.assets import Surface, Texture
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display, stretch_to_unit_range
 from metapp.appearance.flash import relighting_positions, render_maps, texel_positions
-from metapp.appearance.surface import DESCRIPTION_FILE, DIELECTRIC_F0, Surface
+from metapp.appearance.surface import DESCRIPTION_FILE, DIELECTRIC_F0
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.extensions.assets.planes import SurfaceMap, all_surface_maps, fitted_surface_maps
 from metapp.storage import image_writers
@@ -86,16 +87,16 @@ def write_surface_map(surface_map: SurfaceMap, file: Path, bits: int) -> dict[st
     return {"colour_space": encoding} | description
 
 
-def render_preview(surface: Surface) -> Tensor:
+def render_preview(surface: Surface | Texture) -> Tensor:
     """Render display values [3, h, w]: a texture as it is, a material under a light from the left."""
     scale = min(1.0, PREVIEW_LONGER_SIDE_PX / max(surface.size))
     size = [max(1, math.floor(side * scale)) for side in surface.size]
-    maps = surface.maps
-    if maps is None:
+    if isinstance(surface, Texture):
         return linear_to_srgb(_resize(surface.colour, size).clamp(0, 1))
-    light, view = relighting_positions(dtype=surface.colour.dtype)["left"]
-    positions = texel_positions(*surface.size, dtype=surface.colour.dtype)
-    radiance = render_maps(Maps(*(part[None] for part in maps)), positions, light, view)[0]
+    dtype = surface.maps.diffuse.dtype
+    light, view = relighting_positions(dtype=dtype)["left"]
+    positions = texel_positions(*surface.size, dtype=dtype)
+    radiance = render_maps(Maps(*(part[None] for part in surface.maps)), positions, light, view)[0]
     return radiance_to_display(_resize(radiance, size))
 
 
@@ -103,7 +104,7 @@ def _resize(picture: Tensor, size: list[int]) -> Tensor:
     return interpolate(picture[None], size=size, mode="area")[0]
 
 
-def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_asset(surface: Surface | Texture, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the asset folder `path`; `material.json` is written last."""
     files = write_surface_maps(all_surface_maps(surface), path)
     image_writers.write_png(render_preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
@@ -111,19 +112,19 @@ def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) 
 
 
 def write_description(
-    surface: Surface, path: Path, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
+    surface: Surface | Texture, path: Path, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
 ) -> None:
     """Write `material.json`, which describes a surface and its files; numbers that are not finite become null."""
     height, width = surface.size
     document = {
         "schema": 1,
         "name": path.name,
-        "kind": "texture" if surface.maps is None else "material",
+        "kind": "texture" if isinstance(surface, Texture) else "material",
         "size": {"width": width, "height": height, "unit": "px"},
         "real_world_size": None,  # the width in metres, which a photograph alone does not tell
         "tiles": surface.tiles,
         "colour_primaries": "Rec. 709",
-        **({} if surface.maps is None else {"workflows": WORKFLOW_DESCRIPTIONS}),
+        **({} if isinstance(surface, Texture) else {"workflows": WORKFLOW_DESCRIPTIONS}),
         "files": dict(files),
         "provenance": dict(provenance),
     }
@@ -153,21 +154,20 @@ def specular_level(surface: Surface, planes: Mapping[str, SurfaceMap]) -> Tensor
     Returns:
         The level, [1, H, W] in [0, 1]; 0.5 where the surface is wholly metallic.
     """
-    assert surface.maps is not None
     metallic, base = planes["metallic"].values, planes["basecolor"].values
     missing_f0 = (surface.maps.specular - base * metallic).mean(0, keepdim=True)
     level = missing_f0 / (1 - metallic).clamp_min(1e-6) * (0.5 / BLENDER_DEFAULT_F0)
     return torch.where(metallic < 1, level.clamp(0, 1), 0.5)
 
 
-def write_exr(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_exr(surface: Surface | Texture, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the fitted maps, or the colour of a texture, as <path>/<name>_<map>.exr; heights are in texture widths."""
     for key, surface_map in fitted_surface_maps(surface).items():
         file = path / f"{path.name}_{key}.exr"
         image_writers.write_exr(surface_map.values.movedim(0, -1), file, half=key not in HIGH_PRECISION_MAPS)
 
 
-def write_png16(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_png16(surface: Surface | Texture, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the fitted maps, or the colour of a texture, as PNG of 16 bits, <path>/<name>_<map>.png."""
     write_surface_maps(fitted_surface_maps(surface), path)
 

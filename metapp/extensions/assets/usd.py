@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
-from metapp.appearance.surface import Surface
+from metapp.appearance.assets import Surface
 from metapp.extensions.assets.planes import all_surface_maps
 from metapp.extensions.assets.surface_pictures import describe_provenance, write_surface_map
 from metapp.storage.files import write_bytes

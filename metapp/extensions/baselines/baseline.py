@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 from torch import Generator, Tensor
 
+from metapp.appearance.assets import Asset
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 
@@ -57,17 +58,16 @@ class BaselineFit(NamedTuple):
             evaluation of a network is not timed either.
         kept_numbers: how many numbers are kept for the task.
         kept_bytes: how many bytes these numbers take.
-        picture: a picture to show beside the application's fits, linear RGB [H, W, 3]; None if the prediction is
-            no picture.
-        prediction_at_size: a function that makes the argument of `Presenter.prediction_pictures`, where files differ
-            from the judged prediction, at a height and width in px; None stands for the judged size. It is not timed.
+        asset: a function that makes the asset of the task for people, at a height and width in px, or None for the
+            usual size of its files; it is not timed. None for a prediction at some places that is nothing in between.
+        picture: a picture as large as the ones of fits, to show beside them, linear RGB [H, W, 3]; None for no picture.
     """
 
     prediction: Callable[[], object]
     kept_numbers: int
     kept_bytes: int
+    asset: Callable[[Task, tuple[int, int] | None], Asset] | None = None
     picture: Tensor | None = None
-    prediction_at_size: Callable[[tuple[int, int] | None], object] | None = None
 
 
 class Baseline(ABC):

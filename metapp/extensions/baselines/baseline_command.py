@@ -21,7 +21,15 @@ from metapp.options import FIT, INPUT, OUTPUT, options_by_name
 from metapp.runs.reporter import say
 from metapp.runs.spec import DEFAULT_TASKS_HELP, RunOptions, Spec, parse_fit_options
 
-BASELINE_OPTION_NAMES = ("data", "observe", "recipe", "seed", "out", "quiet")  # options of fits that methods take, too
+BASELINE_OPTION_NAMES = (
+    "data",
+    "observe",
+    "recipe",
+    "seed",
+    "export",
+    "out",
+    "quiet",
+)  # options of fits that methods take, too
 
 
 def make_baseline_command(application: Application) -> Callable[..., None]:

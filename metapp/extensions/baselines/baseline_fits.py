@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -19,7 +19,14 @@ from threadpoolctl import threadpool_limits
 from torch import Generator
 
 from metapp.apps.brdf.app import Brdf
-from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_prediction, tensor_bytes
+from metapp.extensions.baselines.baseline import (
+    Baseline,
+    BaselineFit,
+    CostLimits,
+    TrainingTasks,
+    judge_prediction,
+    tensor_bytes,
+)
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.runs.data_sets.embedded import has_embedded_training, make_embedded_set
@@ -30,9 +37,6 @@ from metapp.runs.inputs.finding import data_label
 from metapp.runs.resolve import app_of, recipe_of
 from metapp.runs.spec import Spec
 from metapp.storage.shards import read_data_set, read_manifest
-
-# A fit, and a function that makes the argument of `Presenter.prediction_pictures` at a height and width in px
-JudgedFit = tuple[Fit, Callable[[tuple[int, int] | None], object]]
 
 
 def find_training_folder(spec: Spec, baseline: Baseline, data: Path | None, *, make: bool = False) -> Path | None:
@@ -94,7 +98,7 @@ def parameters_per_task(app: App) -> Params:
 
 def fit_baselines(
     spec: Spec, baseline: Baseline, tasks: Sequence[Task], training_folder: Path | None
-) -> Iterator[JudgedFit]:
+) -> Iterator[tuple[Fit, BaselineFit]]:
     """Fit a baseline to tasks, one after the other, timed from the task's samples to the fit.
 
     Args:
@@ -104,8 +108,8 @@ def fit_baselines(
         training_folder: the data set that the method learns from; None if it learns nothing.
 
     Yields:
-        For each task the fit, whose parameters are its picture, and the function of :data:`JudgedFit`. A fit has no
-        time if the method was run elsewhere.
+        For each task the fit, whose parameters are its picture, if it has one, and what the method answered. A fit has
+        no time if the method was run elsewhere.
 
     Raises:
         ValueError: the baseline cannot be fitted to these tasks.
@@ -142,9 +146,4 @@ def fit_baselines(
             )
             if answer.picture is not None:
                 fit.parameters = {PICTURE_KEY: answer.picture}
-            yield fit, answer.prediction_at_size or functools.partial(_return_judged_prediction, prediction)
-
-
-def _return_judged_prediction(prediction: object, size: tuple[int, int] | None) -> object:
-    """Return the judged prediction, for methods whose files show it and have no other size."""
-    return prediction
+            yield fit, answer

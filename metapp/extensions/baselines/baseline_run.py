@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from rich.table import Table
 
+from metapp.appearance.assets import Asset
 from metapp.cli.fit_output import fit_line, fits_table
 from metapp.entries import did_you_mean
 from metapp.extensions.baselines import baselines_of
@@ -23,7 +24,7 @@ from metapp.options import BadOption
 from metapp.runs.data_sets.embedded import embedded_folders
 from metapp.runs.fit import Fit
 from metapp.runs.inputs.finding import DATA_SET_FORMAT, Input, content_of, data_label, find
-from metapp.runs.outputs.fit_files import write_pictures
+from metapp.runs.outputs.fit_files import export_path, write_pictures
 from metapp.runs.reporter import progress, say
 from metapp.runs.resolve import app_of, presenter_of, resolve
 from metapp.runs.spec import RunOptions, Spec, given_words
@@ -81,16 +82,29 @@ def run_baseline(spec: Spec, options: RunOptions, paths: Sequence[Path], method:
                 raise ValueError(f"{spec.app} {method}: no training tasks to learn from; give a data set with --data.")
             group = [number for number in tasks if specs[number] is group_spec]
             answers = fit_baselines(group_spec, baseline, [tasks[number] for number in group], training_folder)
-            presenter = presenter_of(group_spec, app_of(group_spec))
-            for number, (fit, prediction_at_size) in zip(group, answers, strict=True):
+            size = presenter_of(group_spec, app_of(group_spec)).size
+            for number, (fit, answer) in zip(group, answers, strict=True):
                 one, task = inputs[number], tasks[number]
-                files = presenter.prediction_pictures(prediction_at_size(presenter.size), task)
                 fit.name, fit.source, fit.format, fit.inputs = one.name, one.place, one.format, list(one.given)
-                fit.content = content_of(task)
-                fit.keep(path, draw=functools.partial(write_pictures, files))
+                fit.content, fit.task = content_of(task), task
+                _keep(fit, answer.asset(task, size) if answer.asset else None, path, options.exports)
                 fits[number] = fit
                 bar.advance(one.name)
     return BaselineRun(method, baseline.cannot, path, [fits[number] for number in sorted(fits)])
+
+
+def _keep(fit: Fit, asset: Asset | None, run_folder: Path, exports: Sequence[str]) -> None:
+    """Write the answer of a method into the folder of a run: its pictures and its exports.
+
+    Raises:
+        ValueError: the answer cannot be written in one of the formats.
+    """
+    if asset is not None:
+        fit.asset = asset
+    fit.keep(run_folder, draw=functools.partial(write_pictures, {} if asset is None else asset.pictures()))
+    for form in exports:
+        fit.write_export(form, export_path(fit.folder, form))
+    fit.forget()
 
 
 def _read_tasks(inputs: Sequence[Input], specs: Sequence[Spec]) -> dict[int, Task]:

@@ -12,7 +12,8 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.geometry import Cosines
+from metapp.appearance.geometry import Cosines, half_difference_and_cosine
+from metapp.apps.brdf.reflectance import Reflectance
 from metapp.extensions.baselines import ggx_lobes
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
@@ -205,14 +206,21 @@ class TwoLobes(Baseline):
         where, (rows, target) = task_places(tasks), draw_seen_rows(tasks, rng, allowed.samples)
         numbers = ggx_lobes.fit_ggx_lobes(cosines_at_places(where[rows]), target.double()).float()
 
-        def prediction() -> Tensor:
-            return (
-                ggx_lobes.lobes_reflectance(numbers.double(), cosines_at_places(where[len(where) // 2 :]))
-                .float()
-                .T[None]
-            )
+        def evaluate_at_places(places: Tensor) -> Tensor:
+            """Evaluate the lobes at places [n, 7]: linear RGB [n, 3]."""
+            return ggx_lobes.lobes_reflectance(numbers.double(), cosines_at_places(places)).float()
 
-        return BaselineFit(prediction, numbers.numel(), tensor_bytes(numbers))
+        def evaluate(angles: Tensor) -> Tensor:
+            places = half_difference_and_cosine(angles.reshape(-1, angles.shape[-1])[:, :3])
+            return evaluate_at_places(places).clamp_min(0).reshape(*angles.shape[:-1], 3)
+
+        held_out = where[len(where) // 2 :]
+        return BaselineFit(
+            lambda: evaluate_at_places(held_out).T[None],
+            numbers.numel(),
+            tensor_bytes(numbers),
+            lambda task, size: Reflectance(evaluate),
+        )
 
 
 class NearestMaterial(Baseline):

@@ -17,6 +17,7 @@ from metapp.appearance.latlong import mean_luminance
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.ball_sight import BallSight
 from metapp.apps.illumination.mirror import MirrorLight
+from metapp.apps.illumination.radiance import radiance_of
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.extensions.baselines.harmonics import count_orders, from_harmonics, to_harmonics
 from metapp.learning.task import Tasks
@@ -52,7 +53,9 @@ class SphericalHarmonics(Baseline):
             ).float()[None]
 
         kept_bytes = SCALE_BYTES + COEFFICIENT_BYTES * stored_coefficients.size
-        return BaselineFit(prediction, stored_coefficients.size, kept_bytes)
+        return BaselineFit(
+            prediction, stored_coefficients.size, kept_bytes, lambda task, size: radiance_of(prediction(), task)
+        )
 
 
 class UnwrappedBall(Baseline):
@@ -71,7 +74,9 @@ class UnwrappedBall(Baseline):
             if not certain.any():
                 raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
         numbers = 5 * light.seen[0, 0].numel()
-        return BaselineFit(lambda: fill_unseen(light), numbers, 2 * numbers)
+        return BaselineFit(
+            lambda: fill_unseen(light), numbers, 2 * numbers, lambda task, size: radiance_of(fill_unseen(light), task)
+        )
 
 
 def fill_unseen(light: MirrorLight) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
+from metapp.appearance.assets import Surface
 from metapp.appearance.svbrdf_maps import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
@@ -35,7 +36,9 @@ class FlatMaterial(Baseline):
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         photo = tasks.data["photo"][tasks.rows]
-        return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
+        return BaselineFit(
+            lambda: flat_maps(photo), photo.numel(), photo.numel(), lambda task, size: surface_of(flat_maps(photo))
+        )
 
 
 class PredictedMaps(Baseline):
@@ -53,8 +56,14 @@ class PredictedMaps(Baseline):
         if "predicted" not in tasks.data:
             (name,) = tasks.selected_names
             raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
-        maps = tasks.data["predicted"][tasks.rows]
-        return BaselineFit(lambda: unpack_maps(maps), maps.numel(), maps.numel())
+        packed = tasks.data["predicted"][tasks.rows]
+        maps = unpack_maps(packed)
+        return BaselineFit(lambda: maps, packed.numel(), packed.numel(), lambda task, size: surface_of(maps))
+
+
+def surface_of(maps: Maps) -> Surface:
+    """Return the surface of maps [1, C, H, W]."""
+    return Surface(Maps(*(part[0] for part in maps)), tiles=False)
 
 
 def flat_maps(photos: Tensor) -> Maps:

@@ -10,18 +10,20 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.colour import DISPLAY_GAMMA
-from metapp.appearance.height_fields import normal_from_height
+from metapp.appearance.assets import Photograph, Surface
+from metapp.appearance.colour import DISPLAY_GAMMA, srgb_to_linear
+from metapp.appearance.height_fields import height_from_normal, normal_from_height
 from metapp.appearance.highlight import estimate_gloss, remove_shading
 from metapp.appearance.lattice import subtract_local_mean
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
-from metapp.extensions.baselines.texture import NearestExemplar, quilt_pictures, srgb_to_linear_picture
+from metapp.extensions.baselines.texture import NearestExemplar, quilt_pictures
 from metapp.learning.app import App
-from metapp.learning.task import Tasks
+from metapp.learning.task import Task, Tasks
 
 # Relief is guessed of brightness: RELIEF_WINDOW_TEXELS is the side of a texel's surroundings, RELIEF_DEPTH_TEXELS the
 # height of a texel that is twice as bright as these, both in texels of a photo of 256. Where a clear highlight takes
@@ -108,17 +110,19 @@ class QuiltedMaterial(Baseline):
         light = tasks.data["light"][tasks.rows]
         maps = quilt_maps(photos, light, rng)
         photo_numbers = photos.numel()
-        picture = srgb_to_linear_picture(
-            app.statistics.photograph(Maps(*(values[0, 0] for values in maps)), light[0], light[0])
-        )
+        picture = app.statistics.photograph(Maps(*(values[0, 0] for values in maps)), light[0], light[0])
 
-        def prediction_at_size(size: tuple[int, int] | None) -> Maps:
-            return quilt_maps(photos, light, rng, size, count=1) if size else maps
+        def make_surface(task: Task, size: tuple[int, int] | None) -> Surface:
+            shown = Maps(
+                *(values[0, 0] for values in (quilt_maps(photos, light, rng, size, count=1) if size else maps))
+            )
+            height = height_from_normal(shown.normal, periodic=True)
+            return Surface(shown, True, height, FLASH_FALLOFF, {"photo_1": Photograph(light[0], light[0])})
 
         return BaselineFit(
             lambda: maps,
             photo_numbers + QUILTED_MATERIAL_NUMBERS,
             photo_numbers + 4 * QUILTED_MATERIAL_NUMBERS,
-            picture=picture,
-            prediction_at_size=prediction_at_size,
+            make_surface,
+            srgb_to_linear(picture).permute(1, 2, 0),
         )

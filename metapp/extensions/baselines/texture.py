@@ -7,14 +7,12 @@ photograph itself, both methods write files at the scale and resolution of the p
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.assets import Texture
 from metapp.appearance.features import statistics_distance
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
@@ -32,7 +30,7 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.extensions.baselines.blending import blend_tile
 from metapp.learning.app import App
-from metapp.learning.task import Tasks
+from metapp.learning.task import Task, Tasks
 from metapp.networks.quilted import fetch_pieces
 
 COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at once
@@ -70,8 +68,9 @@ class NearestExemplar(Baseline):
         blocks = torch.arange(len(self.pictures)).split(COMPARISON_BLOCK_TASKS)
         errors = [statistics_distance([gram[rows] for gram in self.grams.values()], targets) for rows in blocks]
         nearest = self.pictures[int(torch.cat(errors).reshape(len(self.pictures), -1).mean(1).argmin())]
+        texture = Texture(nearest, tiles=False)
         return BaselineFit(
-            lambda: nearest[None, None], *INDEX_NUMBERS_AND_BYTES, picture=srgb_to_linear_picture(nearest)
+            lambda: nearest[None, None], *INDEX_NUMBERS_AND_BYTES, lambda task, size: texture, texture.preview()
         )
 
 
@@ -95,12 +94,13 @@ class Quilting(Baseline):
         size = exemplar.shape[1], exemplar.shape[2]
         pictures = quilt_pictures(exemplar, size, rng)
 
-        def prediction_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+        def make_texture(task: Task, asked_size: tuple[int, int] | None) -> Texture:
             if isinstance(app, QuiltedTexture):
-                return quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng)[None, None]
-            return quilt_tile(exemplar, asked_size or size, rng)[None, None]
+                return Texture(quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng))
+            return Texture(quilt_tile(exemplar, asked_size or size, rng))
 
-        return _make_exemplar_fit(exemplar, pictures, prediction_at_size)
+        picture = Texture(pictures[0, 0]).preview()
+        return BaselineFit(lambda: pictures, exemplar.numel(), exemplar.numel(), make_texture, picture)
 
 
 class Blending(Baseline):
@@ -123,35 +123,12 @@ class Blending(Baseline):
         even, size = remove_quadratic_trend(exemplar).clamp(0, 1), (exemplar.shape[1], exemplar.shape[2])
         pictures = torch.stack([blend_tile(even, size, rng) for _ in range(JUDGED_PICTURES)])[None]
 
-        def prediction_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+        def make_texture(task: Task, asked_size: tuple[int, int] | None) -> Texture:
             source = app.take_even_photo(image[0]) if isinstance(app, QuiltedTexture) else even
-            return blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng)[None, None]
+            return Texture(blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng))
 
-        return _make_exemplar_fit(exemplar, pictures, prediction_at_size)
-
-
-def _make_exemplar_fit(
-    exemplar: Tensor, pictures: Tensor, prediction_at_size: Callable[[tuple[int, int] | None], Tensor]
-) -> BaselineFit:
-    """Make the fit of a method that stores the exemplar, a byte for each number.
-
-    Args:
-        exemplar: display values [3, H, W].
-        pictures: the pictures that are judged, [1, B, 3, H, W].
-        prediction_at_size: makes the picture of files [1, 1, 3, h, w] of a size in px; None is the method's own size.
-    """
-    return BaselineFit(
-        lambda: pictures,
-        exemplar.numel(),
-        exemplar.numel(),
-        picture=srgb_to_linear_picture(pictures[0, 0]),
-        prediction_at_size=prediction_at_size,
-    )
-
-
-def srgb_to_linear_picture(srgb: Tensor) -> Tensor:
-    """Return a picture in linear RGB [H, W, 3], of sRGB values [3, H, W] in [0, 1]."""
-    return srgb_to_linear(srgb).permute(1, 2, 0)
+        picture = Texture(pictures[0, 0]).preview()
+        return BaselineFit(lambda: pictures, exemplar.numel(), exemplar.numel(), make_texture, picture)
 
 
 def quilt_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tensor:

@@ -43,7 +43,7 @@ REPORTED_PACKAGES = (
 # the extras of the package that commands need: a module that each installs, and what is not possible without it
 EXTRAS = {
     "capture": ("cv2", "metapp data rectify, and photos of a mirror ball at several exposures"),
-    "export": ("onnx", "--export usd and onnx"),
+    "export": ("pxr", "--export usd"),
     "heic": ("pillow_heif", "HEIC photos"),
     "nbrdf": ("h5py", "NBRDF networks in .h5 files"),
 }

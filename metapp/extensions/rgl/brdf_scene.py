@@ -7,18 +7,18 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safetensors.torch import save
 
 from metapp.extensions.rgl.rgl import export as write_table
-from metapp.learning.task import Params
 from metapp.storage.files import write_bytes
 from metapp.storage.xml_files import write_xml
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
+    from metapp.apps.brdf.reflectance import Reflectance
 
 SCENE_AND_BRDF_ENDINGS = {  # by the BSDF: what the name of the scene ends with before .xml, and the ending of its data
     "neural_brdf": ("", ".safetensors"),
@@ -36,18 +36,23 @@ BRDF_SCENE_TEMPLATE = """<scene version="3.0.0"><integrator type="path"/>
 <emitter type="constant"><rgb name="radiance" value="0.3, 0.3, 0.3"/></emitter></scene>"""
 
 
-def write_brdf_scenes(app: Brdf, theta: Params, path: Path) -> None:
-    """Write two scenes that show a fitted BRDF, and the parameters and the table that they read, into a folder.
+def write_brdf_scenes(asset: Reflectance, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write two scenes that show reflectance, and the parameters and the table that they read, into a folder.
+
+    Reflectance without a network has the scene of the table alone.
 
     Args:
-        app: the BRDF application.
-        theta: the parameters of the fit, without a task axis.
+        asset: the reflectance.
         path: the folder, whose name the files <name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf get.
+        provenance: not written.
     """
-    tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
-    write_bytes(path / f"{path.name}.safetensors", save(tensors))
-    write_table(app, theta, path / f"{path.name}.bsdf")
+    write_table(asset, path / f"{path.name}.bsdf", provenance)
+    if asset.theta:
+        tensors = {key: value.detach().cpu().contiguous() for key, value in asset.theta.items()}
+        write_bytes(path / f"{path.name}.safetensors", save(tensors))
     for bsdf, (scene_ending, data_ending) in SCENE_AND_BRDF_ENDINGS.items():
+        if not (path / f"{path.name}{data_ending}").is_file():
+            continue
         write_xml(path / f"{path.name}{scene_ending}.xml", brdf_scene(bsdf, path.name, f"{path.name}{data_ending}"))
 
 

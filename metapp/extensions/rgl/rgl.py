@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,12 +35,12 @@ from metapp.appearance.geometry import directions_to_four_angles, directions_to_
 from metapp.application import Facts
 from metapp.extensions.rgl.spectra import fields_in_rgb, fields_in_spectra
 from metapp.extensions.rgl.tensor_file import TensorFields, read_shapes, read_tensor_file, write_tensor_file
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import add_suffix
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
+    from metapp.apps.brdf.reflectance import Reflectance
 
 # Grids of files written here, of isotropic and of anisotropic materials
 VIEWER_ANGLES = 40  # number of angles theta_i of the viewer
@@ -143,24 +143,18 @@ def _directions(theta: Tensor, phi: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*components), -1)
 
 
-def export(app: Brdf, theta: Params, path: Path, *, spectral: bool = False) -> None:
-    """Write a fitted BRDF as <path>.bsdf, or as <path>_spec.bsdf for spectral variants of Mitsuba.
+def export(asset: Reflectance, path: Path, provenance: Mapping[str, object], *, spectral: bool = False) -> None:
+    """Write reflectance as <path>.bsdf, or as <path>_spec.bsdf for spectral variants of Mitsuba.
 
     Args:
-        app: the BRDF application.
-        theta: the parameters of the fit, without a task axis.
+        asset: the reflectance.
         path: the file, to which the ending is added.
+        provenance: not written.
         spectral: whether to write spectra in place of RGB.
     """
     file = path.with_name(f"{path.name}{SPECTRAL_ENDING}{RGL_SUFFIX}") if spectral else add_suffix(path, RGL_SUFFIX)
-    evaluate, anisotropic = partial(app.reflectance, theta), app.network.anisotropic
-    write_rgl(
-        file,
-        evaluate,
-        f"{path.name.removesuffix(RGL_SUFFIX)}: a fit of metapp",
-        azimuths=anisotropic,
-        spectral=spectral,
-    )
+    description = f"{path.name.removesuffix(RGL_SUFFIX)}: a fit of metapp"
+    write_rgl(file, asset.evaluate, description, azimuths=asset.is_anisotropic, spectral=spectral)
 
 
 export_spectral = partial(export, spectral=True)

@@ -8,25 +8,24 @@ the coefficient.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_directions
-from metapp.apps.svbrdf_nonstationary.rti.light_process import LightProcess, choose_process, mix_photos
-from metapp.extensions.rti_files.lit_photos import get_lit_photos
-from metapp.learning.task import Task
+from metapp.apps.svbrdf_nonstationary.rti.light_process import LightProcess, mix_photos
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.storage.files import add_suffix, write_atomically
 
 LEAST_SCALE = 1e-6  # of a coefficient that is 0 at all pixels
 
 
-def write_ptm(app: SvbrdfNonstationary, task: Task, path: Path) -> None:
+def write_ptm(asset: LitPhotos, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>.ptm, in the form PTM_FORMAT_RGB: 18 bytes a pixel."""
-    photos, lamps = get_lit_photos(app, task)
-    coefficients = mix_photos(coefficient_weights(choose_process(photos, lamps), lamps), photos) * 255
+    photos = asset.photos
+    coefficients = mix_photos(coefficient_weights(asset.process, asset.lamps), photos) * 255
     scales, biases = zip(*(choose_scale(coefficient) for coefficient in coefficients), strict=True)
     levels = torch.empty(coefficients.shape, dtype=torch.uint8)
     for level, coefficient, scale, bias in zip(levels, coefficients, scales, biases, strict=True):

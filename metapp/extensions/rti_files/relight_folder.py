@@ -9,6 +9,7 @@ interpolated bilinearly. So they hold what a Gaussian process predicts as well a
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,10 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, mix_photos, sample_pixels
-from metapp.extensions.rti_files.lit_photos import get_lit_photos
-from metapp.learning.task import Task
+from metapp.apps.svbrdf_nonstationary.rti.light_process import mix_photos, sample_pixels
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.storage.files import write_bytes
 from metapp.storage.image_writers import write_jpeg
 
@@ -45,12 +44,12 @@ class ColourPlanes(NamedTuple):
     planes: Tensor
 
 
-def write_relight(app: SvbrdfNonstationary, task: Task, path: Path) -> None:
+def write_relight(asset: LitPhotos, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the folder `path`; `info.json` is written last."""
-    photos, lamps = get_lit_photos(app, task)
+    photos, lamps = asset.photos, asset.lamps
     mean, components, planes = find_colour_planes(photos, PLANE_COUNT)
     # of all photographs, since few planes hold them better than pictures at the grid: 27.5 dB to 25.9 dB
-    weights = choose_process(photos, lamps).interpolation(grid_directions(GRID_SIDE), lamps)
+    weights = asset.process.interpolation(grid_directions(GRID_SIDE), lamps)
     basis = torch.einsum("gn,nck->kgc", weights, components)
     ranges = 127 / basis.abs().amax((1, 2)).clamp_min(LEAST_RANGE)
     levels = [(weights @ mean).clamp(0, 1)[None] * 255, 127 + ranges[:, None, None] * basis]

@@ -1,6 +1,6 @@
 """The exports of fitted BRDFs as shader code: <name>.<suffix>, and a node of MaterialX.
 
-Each is a function of the application, the parameters and a path, as `metapp export` calls it.
+Each is a function of the reflectance and a path, as `metapp export` calls it.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from metapp.storage.files import write_bytes
 from metapp.storage.xml_files import write_xml
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf.app import Brdf
+    from metapp.apps.brdf.reflectance import Reflectance
 
 MATERIALX_VERSION = "1.39"  # that documents state
 NODE_FUNCTIONS = {  # by language, the function that MaterialX calls for a node
@@ -47,19 +48,19 @@ def hlsl_code(theta: Params, name: str) -> str:
     return hlsl_source(function_prefix(name), network.fold(theta), lobes)
 
 
-def write_shader(language: str, app: Brdf, theta: Params, path: Path) -> None:
+def write_shader(language: str, asset: Reflectance, path: Path, provenance: Mapping[str, object]) -> None:
     """Write a fitted NBRDF as shader code.
 
     Args:
         language: the language, a key of LANGUAGES.
-        app: the BRDF application, which the signature of exports asks for.
-        theta: the parameters of the fit, without a task axis.
+        asset: the reflectance, with the parameters of an NBRDF.
         path: the file, to which the suffix of the language is added.
+        provenance: not written.
     """
     syntax = LANGUAGES[language]
     name = path.name.removesuffix(f".{syntax.suffix}")
     comment = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
-    text = comment + translate_source(hlsl_code(theta, name), function_prefix(name), syntax)
+    text = comment + translate_source(hlsl_code(asset.theta, name), function_prefix(name), syntax)
     _write_text(path.with_name(f"{name}.{syntax.suffix}"), text)
 
 
@@ -70,16 +71,16 @@ write_osl = functools.partial(write_shader, "osl")
 write_wgsl = functools.partial(write_shader, "wgsl")
 
 
-def write_materialx(app: Brdf, theta: Params, path: Path) -> None:
+def write_materialx(asset: Reflectance, path: Path, provenance: Mapping[str, object]) -> None:
     """Write a fitted NBRDF as a node of MaterialX, <path>/<name>.mtlx, with implementations for GLSL and OSL beside it.
 
     Args:
-        app: the BRDF application, which the signature of exports asks for.
-        theta: the parameters of the fit, without a task axis.
+        asset: the reflectance, with the parameters of an NBRDF.
         path: the folder, whose name the files get.
+        provenance: not written.
     """
     name = function_prefix(path.name)
-    source = hlsl_code(theta, path.name)
+    source = hlsl_code(asset.theta, path.name)
     for language, function in NODE_FUNCTIONS.items():
         text = translate_source(source, name, LANGUAGES[language]._replace(tail=function))
         _write_text(path / f"{path.name}.{language}", text)

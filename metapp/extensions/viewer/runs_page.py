@@ -119,7 +119,7 @@ def make_labelled_view(fit: Fit, label: str) -> View:
     """
     try:
         with torch_defaults(single=fit.app.small_tensors):
-            view = make_view(fit.presenter, fit.parameters, fit.task)
+            view = make_view(fit)
     except KeyError as missing:
         if fit.task.data:
             raise

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple, Never
+from typing import NamedTuple, Never
 
 import numpy as np
 import torch
@@ -17,9 +17,9 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.latlong import texel_directions
-from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_radiance
-from metapp.learning.task import Params, Task
+from metapp.registry import registry
+from metapp.runs.fit import Fit
 
 MAX_THUMBNAIL_PX = 80  # side of the pictures in the list of fits
 MAX_HALF_FLOAT = 65504.0  # the greatest finite number of float16
@@ -53,21 +53,20 @@ class View(NamedTuple):
     caption: str = ""
 
 
-def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
-    """Make the view of a fit by its application's `page`, else a view of its pictures.
+def make_view(fit: Fit) -> View:
+    """Make the view of a fit by the page of its type of asset, else a view of its pictures.
 
     Args:
-        presenter: the presenter of the application.
-        theta: the parameters of the fit, without a task axis.
-        task: the task that was fitted, without data if they are not at hand.
+        fit: the fit, whose task has no data if they are not at hand.
 
     Raises:
         KeyError: the view needs data that the task lacks.
     """
-    if page := presenter.application.page:
-        view: View = page.load()(presenter, theta, task)
+    kind = next(iter(fit.spec.application.assets), "")
+    if page := registry().pages.get(kind):
+        view: View = page.load()(fit)
         return view
-    return make_pictures_view(presenter.preview(theta, task))
+    return make_pictures_view(fit.preview())
 
 
 def make_pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:

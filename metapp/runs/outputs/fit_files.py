@@ -1,6 +1,6 @@
 """The files of one fit for its user: pictures and maps, renderings of its scene, and exports in other file formats.
 
-What pictures show is decided by the application's presenter, how a format lies on disk by the extension that has it.
+What pictures show is decided by the asset of the fit, how a format lies on disk by the extension that has it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from torch import Generator
 
 from metapp.appearance.colour import stretch_to_unit_range, tone_map
 from metapp.appearance.pictures import Picture, ScenePictures
-from metapp.appearance.presenter import Presenter
 from metapp.learning.app import App, stack_tasks
-from metapp.learning.task import Params, Task, add_task_axis
+from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
 from metapp.paradigms.methods import fit_tasks, make_method
 from metapp.runs.checkpoints import read_checkpoint
@@ -136,31 +135,31 @@ def export_to_new_files(write: Callable[[Path], object], path: Path, *, overwrit
     return path.with_name(written[0].name) if len(written) == 1 else path.parent
 
 
-def distill(presenter: Presenter[Any], task: Task, theta: Params) -> Params:
-    """Distill a fit into the application's usual network, and say by how much the error grows.
+def distill(app_name: str, asset: Any, task: Task, error: float | None) -> Any:
+    """Distill an asset into the application's usual network, and say by how much the error grows.
 
-    Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
-    itself.
+    Finetune fits the usual network to values of the asset, as many as the task has samples. It sees no sample of the
+    task itself.
 
     Args:
-        presenter: the presenter of the fit.
+        app_name: the name of the application.
+        asset: the asset, which a method `sample` turns into a task.
         task: the task that was fitted.
-        theta: the parameters of the fit, without a task axis.
+        error: the error of the asset in the unit of tables; None if it is not known.
 
     Returns:
-        Parameters of the usual network, without a task axis.
+        The asset of the usual network.
+
+    Raises:
+        KeyError: the task has no data.
+        ValueError: the usual network cannot be like this asset.
     """
-    app = presenter.app
-    spec = complete(Spec(app=app.name, paradigm="finetune", recipe=QUICK_RECIPE_NAME))
-    recipe, sampled_task = recipe_of(spec), presenter.sample_fit(theta, task)
-    assert sampled_task is not None, f"{app.name} has one network"
-    method = make_method(spec.paradigm, recipe.app, recipe, read_checkpoint(spec, recipe.app, recipe), steps=spec.steps)
-    distilled = fit_tasks(method, stack_tasks(recipe.app, [sampled_task]), Generator().manual_seed(spec.seed))
-    error_before, error_after = (
-        format_number(
-            app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
-        )
-        for any_app, params in ((app, add_task_axis(theta)), (recipe.app, distilled))
-    )
-    say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
-    return {key: value[0] for key, value in distilled.items()}
+    spec = complete(Spec(app=app_name, paradigm="finetune", recipe=QUICK_RECIPE_NAME))
+    recipe, make_asset = recipe_of(spec), next(iter(spec.application.assets.values())).load()
+    app, sampled_task = recipe.app, asset.sample(task)
+    method = make_method(spec.paradigm, app, recipe, read_checkpoint(spec, app, recipe), steps=spec.steps)
+    theta = fit_tasks(method, stack_tasks(app, [sampled_task]), Generator().manual_seed(spec.seed))
+    error_after = app.error_measure.scale * float(app.errors(theta, stack_tasks(app, [task]))["error"][0])
+    errors = f"error {format_number(error_after, '.3f')}, of the fit {format_number(error, '.3f')}"
+    say(f"{task.name}: distilled into the network of the format; {errors}")
+    return make_asset(app, {key: value[0] for key, value in theta.items()}, task, None)

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.distant_lamps import render_lit
 from metapp.appearance.svbrdf_maps import Maps, pack_maps
-from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.learning.task import Task
 
 

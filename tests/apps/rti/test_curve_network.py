@@ -3,9 +3,9 @@
 import pytest
 import torch
 
+from metapp.appearance.distant_lamps import render_lit
 from metapp.appearance.flash import camera_distance, render_maps, texel_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import answer_of
 from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_weights, read_texels
 from metapp.apps.svbrdf_nonstationary.rti.lit_sight import SMOOTHING, LitSight

@@ -9,6 +9,7 @@ from metapp.apps.svbrdf_nonstationary.rti.light_process import (
     left_out_gain_db,
     mix_photos,
 )
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.apps.svbrdf_nonstationary.rti.lit_sight import LEAST_GAIN_DB
 from metapp.apps.svbrdf_nonstationary.rti.relit_planes import make_relit_planes
 from tests.apps.rti.scenes import dome, lit_task, photograph, wavy_maps
@@ -58,7 +59,7 @@ def test_planes_relight_as_all_photographs_do() -> None:
     photos = photograph(wavy_maps(24, 0.04, 0.4), lamps)
     errors = []
     for count in (6, 12, 40):
-        planes = make_relit_planes(photos, lamps, count)
+        planes = make_relit_planes(LitPhotos(photos, lamps), count)
         assert planes.planes.shape == (count, 3, 24, 24)
         expected = mix_photos(planes.process.interpolation(others, lamps), photos)
         pictures = torch.einsum("mk,kchw->mchw", planes.weights(others), planes.planes)

@@ -6,18 +6,19 @@ import torch
 
 import metapp
 from metapp.appearance.colour import srgb_to_linear
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.rti.recipe import RTI
 from tests.apps.rti.scenes import lit_task
+from tests.recipe_apps import asset_of
 
 
 def test_photographs_are_predicted_under_their_own_lamps() -> None:
     task = lit_task(side=24, lamps=30, specular=0.04)
     theta = {name: value[0] for name, value in RTI.app.init(torch.Generator().manual_seed(0), 1).items()}
-    pictures = RTI.app.relight(theta, task, task.data["lamps"])
+    surface = asset_of(RTI.app, theta, task)
+    pictures = surface.lit_photos.relight(task.data["lamps"])
     photos = srgb_to_linear(task.data["lit"].float() / 255)
     assert float((pictures - photos).abs().mean()) < 0.01
-    shaded = SvbrdfNonstationary.relight(RTI.app, theta, task, task.data["lamps"])
+    shaded = surface.relight(task.data["lamps"])
     assert float((shaded - photos).abs().mean()) < 0.05
 
 

@@ -4,6 +4,7 @@ import json
 import struct
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ from tests.surfaces import (
     read_linear_colours,
     read_stored_values,
     rock_surface,
+    rock_texture,
     texel_centres,
-    texture_surface,
     wave_heights_and_normals,
 )
 
@@ -109,11 +110,11 @@ def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
 
 
 def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
-    surface_pictures.write_asset(texture_surface(), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_asset(rock_texture(), tmp_path / "rock", PROVENANCE)
     found = {file.name for file in (tmp_path / "rock").iterdir()}
     assert found == {"rock_basecolor.png", "preview.png", "material.json"}
     assert json.loads((tmp_path / "rock" / "material.json").read_text())["kind"] == "texture"
-    assert (read_linear_colours(file(tmp_path / "rock", "basecolor")) - texture_surface().colour).abs().max() < 1e-4
+    assert (read_linear_colours(file(tmp_path / "rock", "basecolor")) - rock_texture().colour).abs().max() < 1e-4
 
 
 def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
@@ -142,7 +143,7 @@ def test_without_the_extension_surfaces_have_no_exports_and_brdfs_keep_theirs(
 ) -> None:
     monkeypatch.setenv(WITHOUT_VARIABLE, "assets")
     assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
-    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse
 
 
@@ -315,7 +316,7 @@ def test_the_rectangle_faces_its_viewer(tmp_path: Path, tiles: bool, wrap: int) 
 def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path) -> None:
     """F0 of dielectrics between 0 and 0.08 is kept, but for its hue."""
     maps = rock_surface().maps
-    surface = rock_surface()._replace(maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
+    surface = replace(rock_surface(), maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
     surface_pictures.write_blender(surface, tmp_path / "rock", PROVENANCE)
     base, metallic, level = (
         read_stored_values(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
@@ -326,7 +327,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
     diffuse, specular = metallic_to_specular(base, metallic)
     maps = rock_surface(8).maps._replace(diffuse=diffuse, specular=specular)
-    surface_pictures.write_blender(rock_surface(8)._replace(colour=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_blender(replace(rock_surface(8), maps=maps), tmp_path / "rock", PROVENANCE)
     read = [
         read_stored_values(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
     ]
@@ -378,7 +379,7 @@ def test_f0_is_what_openpbr_reflects_from_straight_above(mtlx: Path) -> None:
 
 def test_a_material_without_reflection_has_an_index(tmp_path: Path) -> None:
     black = rock_surface().maps._replace(specular=torch.zeros(1, 32, 32))
-    materialx.write_openpbr(rock_surface()._replace(maps=black), tmp_path / "rock", PROVENANCE)
+    materialx.write_openpbr(replace(rock_surface(), maps=black), tmp_path / "rock", PROVENANCE)
     surface = ET.parse(tmp_path / "rock" / "rock.mtlx").getroot().find("open_pbr_surface")
     assert 1 < float(next(element for element in surface if element.get("name") == "specular_ior").get("value")) < 1.1
 

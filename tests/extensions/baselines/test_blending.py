@@ -169,6 +169,6 @@ def test_a_fit_keeps_the_exemplar_and_makes_any_size(app: ExemplarApp) -> None:
     image = (255 * draw_clouds(app.octaves.width)).to(torch.uint8)
     blending = fit(app, "blending", stack_tasks(app, [Task("clouds", {"image": image})]))
     assert blending.kept_numbers == blending.kept_bytes == image.numel()
-    assert blending.prediction_at_size is not None
-    assert blending.prediction_at_size(None).shape == (1, 1, *image.shape)  # type: ignore[attr-defined]
-    assert blending.prediction_at_size((40, 70)).shape == (1, 1, 3, 40, 70)  # type: ignore[attr-defined]
+    assert blending.asset is not None
+    task = Task("clouds", {})
+    assert [blending.asset(task, size).size for size in (None, (40, 70))] == [image.shape[1:], (40, 70)]  # type: ignore[attr-defined]

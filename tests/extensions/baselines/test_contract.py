@@ -28,7 +28,7 @@ from metapp.storage.fit_folders import read_params
 from metapp.storage.shards import write_data_set
 from tests.kept_fits import fit_of, write_fit
 from tests.marked import long
-from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, presenter_of
+from tests.recipe_apps import app_by_recipe, app_names, application, observations_of
 
 PLACED = [(name, protocol) for name in app_names() for protocol in observations_of(name)]
 WITHOUT_VARIABLE = (("svbrdf_nonstationary", "reference"), ("transport", ""))  # any
@@ -93,15 +93,15 @@ def test_predictions_of_baselines_are_drawn_where_applications_have_pictures(
     name: str, protocol: str, rng: Generator
 ) -> None:
     app = app_by_recipe(name, observes=protocol)
-    presenter = presenter_of(app)
-    if name in ("brdf", "transport"):
-        assert presenter.prediction_pictures(None, Task("", {})) == {}
-    elif (name, protocol) not in WITHOUT_VARIABLE:
+    if name not in ("brdf", "transport") and (name, protocol) not in WITHOUT_VARIABLE:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
         first, allowed = baselines_of(application(app.name), app)[0], CostLimits(64, 20_000)
         first.prepare(TrainingTasks(app, tasks), allowed)
-        prediction = first.fit(stack_tasks(app, tasks[:1]), rng, allowed).prediction()
-        pictures = presenter.prediction_pictures(prediction, tasks[0])
+        answer = first.fit(stack_tasks(app, tasks[:1]), rng, allowed)
+        assert answer.asset
+        asset = answer.asset(tasks[0], None)
+        assert asset.preview().shape[2] == 3
+        pictures = asset.pictures()
         assert pictures
         for pixels, kind in pictures.values():
             assert pixels.shape[2] in (1, 3)

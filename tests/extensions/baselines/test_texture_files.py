@@ -5,6 +5,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.assets import Texture
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.baseline import BaselineFit, CostLimits
@@ -34,11 +35,11 @@ def fit(method: type[Quilting | Blending], image: Tensor, app: object = APP) -> 
 def draw_file(method: type[Quilting | Blending], image: Tensor, size: tuple[int, int] | None = None) -> Tensor:
     """Return the picture [3, H, W] of a file."""
     fitted = fit(method, image)
-    assert fitted.prediction_at_size is not None
-    picture = fitted.prediction_at_size(size)
-    assert isinstance(picture, Tensor)
-    assert 0 <= float(picture.min()) <= float(picture.max()) <= 1
-    return picture[0, 0]
+    assert fitted.asset is not None
+    texture = fitted.asset(Task("checks", {}), size)
+    assert isinstance(texture, Texture)
+    assert 0 <= float(texture.pixels.min()) <= float(texture.pixels.max()) <= 1
+    return texture.pixels
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -86,7 +87,7 @@ def test_judged_pictures_have_the_size_of_exemplars(method: type[Quilting]) -> N
 @pytest.mark.parametrize("method", METHODS)
 def test_files_of_other_networks_have_the_size_of_exemplars(method: type[Quilting]) -> None:
     fitted = fit(method, draw_checks(PHOTO_SIDE, 6), app_by_recipe("texture"))
-    assert fitted.prediction_at_size is not None
-    picture = fitted.prediction_at_size(None)
-    assert isinstance(picture, Tensor)
-    assert picture.shape == (1, 1, 3, 64, 64)
+    assert fitted.asset is not None
+    texture = fitted.asset(Task("checks", {}), None)
+    assert isinstance(texture, Texture)
+    assert texture.size == (64, 64)

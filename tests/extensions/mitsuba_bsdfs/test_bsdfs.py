@@ -25,11 +25,13 @@ from metapp.appearance.lobes import CANDIDATE_ALPHAS, VIEWER_NODES, LobeMixture
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
+from metapp.learning.task import Task
 from metapp.storage.files import read_tensors
 from tests import anisotropic
 from tests.bsdfs import assert_samples_follow_density, interactions_from, mirrored_pairs, random_directions
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import asset_of
 
 pytestmark = needs_mitsuba
 
@@ -224,7 +226,7 @@ def test_a_folder_of_arrays_is_the_same_network(
 ) -> None:
     from data_tools.readers import nbrdf_files
 
-    nbrdf_files.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
+    nbrdf_files.export(asset_of(Brdf(), read_tensors(fits["nbrdf"]), Task("gold", {})), tmp_path / "gold", {})
     folder = mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "gold")})
     arguments = (
         mi.BSDFContext(),

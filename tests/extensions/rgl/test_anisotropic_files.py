@@ -16,6 +16,7 @@ from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.brdf_scene import write_brdf_scenes
 from metapp.extensions.rgl.rgl import write_rgl
 from metapp.extensions.rgl.tensor_file import write_tensor_file
+from metapp.learning.task import Task
 from tests import anisotropic
 from tests.anisotropic import (
     APP,
@@ -28,6 +29,7 @@ from tests.anisotropic import (
 )
 from tests.bsdfs import interactions_from
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import asset_of
 
 pytestmark = needs_mitsuba
 RESOLUTION = 64  # of the tables of a file as the database has it
@@ -178,7 +180,7 @@ def cells(light: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[n
 @pytest.mark.long
 def test_exports_of_a_fit_are_anisotropic(mi: Any, tmp_path: Path) -> None:
     theta = anisotropic.solve_for_brushed()
-    write_brdf_scenes(APP, theta, tmp_path / "brushed")
+    write_brdf_scenes(asset_of(APP, theta, Task("brushed", {})), tmp_path / "brushed", {})
     (source,), _ = rgl.find(tmp_path / "brushed")
     assert source.facts == {"anisotropic": True}
     angles = directions_to_four_angles(random_directions(3000, 1, 0.2), random_directions(3000, 2, 0.2)).float()

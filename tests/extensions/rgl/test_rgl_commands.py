@@ -42,6 +42,6 @@ def test_without_the_extension_its_command_is_refused_and_others_work(
     Path("a.bsdf").write_bytes(b"tensor_file")
     monkeypatch.setenv(WITHOUT_VARIABLE, "rgl")
     assert "No such command 'bsdf'" in metapp("data", "bsdf", "a.bsdf").misuse
-    forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, onnx, osl, wgsl"
+    forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "bsdf").misuse
     assert "a.bsdf" in metapp("meta", "brdf", "a.bsdf").refusal

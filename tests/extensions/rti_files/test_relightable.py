@@ -12,6 +12,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.apps.svbrdf_nonstationary.rti.recipe import RTI
 from metapp.extensions.rti_files.ptm_file import polynomial_terms, write_ptm
 from metapp.extensions.rti_files.relight_folder import PLANE_COUNT, find_colour_planes, grid_directions, write_relight
@@ -19,6 +20,7 @@ from metapp.learning.task import Task
 from metapp.storage.image_writers import write_jpeg
 from tests.apps.rti.scenes import dome, lit_task
 from tests.cli.messages import says
+from tests.recipe_apps import fit_of
 
 HEADER_LINES = 6
 LEVEL = 1 / 255
@@ -71,9 +73,14 @@ def decibels(picture: np.ndarray, other: np.ndarray) -> float:
     return float(-10 * np.log10(np.square(np.clip(picture, 0, 1) - other).mean()))
 
 
+def photos_of(task: Task) -> LitPhotos:
+    """Return the photographs of a task under their lamps."""
+    return LitPhotos(task.data["lit"], task.data["lamps"].float())
+
+
 def predict(task: Task, lights: Tensor) -> np.ndarray:
     """Return what `fit.relight` answers, as display values [M, H, W, 3]."""
-    return linear_to_srgb(RTI.app.relight({}, task, lights)).permute(0, 2, 3, 1).numpy()
+    return linear_to_srgb(photos_of(task).relight(lights)).permute(0, 2, 3, 1).numpy()
 
 
 def oblong_task(lamps: int = 40, specular: float = 0.04) -> Task:
@@ -94,7 +101,7 @@ def test_viewers_show_what_the_photographs_predict(
     write: Callable[..., None], decode: Callable[[Path, np.ndarray], np.ndarray], least_db: float, tmp_path: Path
 ) -> None:
     task, lights, path = oblong_task(), dome(7, 30.0)[[1, 3]], tmp_path / "new" / "coin 1.5"
-    write(RTI.app, task, path)
+    write(photos_of(task), path, {})
     expected = predict(task, lights)
     for light, picture in zip(lights.numpy(), expected, strict=True):
         decoded = decode(path, light)
@@ -109,7 +116,7 @@ def test_a_ptm_of_polynomials_is_exact_to_its_bytes(tmp_path: Path) -> None:
     coefficients = torch.tensor([-0.2, 0.1, 0.1, 0.2, -0.1, 0.6])[:, None] * torch.tensor([1.0, 0.7, 0.3])
     values = polynomial_terms(lamps) @ coefficients
     photos = (values * 255).round().to(torch.uint8)[:, :, None, None].expand(-1, -1, 3, 5).contiguous()
-    write_ptm(RTI.app, Task("flat", {"lit": photos, "lamps": lamps}), tmp_path / "flat")
+    write_ptm(LitPhotos(photos, lamps), tmp_path / "flat", {})
     for light in dome(5, 30.0):
         expected = (polynomial_terms(light[None]) @ coefficients).numpy()
         assert np.abs(decode_ptm(tmp_path / "flat.ptm", light.numpy()) - expected).max() < 4 * LEVEL
@@ -139,7 +146,7 @@ def test_planes_are_compressed_each_by_itself(tmp_path: Path) -> None:
 
 def test_three_photographs_make_as_many_planes_as_they_have_channels(tmp_path: Path) -> None:
     task = lit_task(16, 3)
-    write_relight(RTI.app, task, tmp_path / "three")
+    write_relight(photos_of(task), tmp_path / "three", {})
     info = json.loads((tmp_path / "three" / "info.json").read_text())
     assert info["nplanes"] == 9 < PLANE_COUNT
     assert sorted(path.name for path in (tmp_path / "three").iterdir()) == [
@@ -161,11 +168,11 @@ def test_directions_of_the_grid_come_back_at_its_points() -> None:
     assert float(z.min()) >= 0
 
 
-@pytest.mark.parametrize("write", [write_ptm, write_relight])
-def test_what_has_no_photographs_under_lamps_is_refused(write: Callable[..., None], tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["ptm", "relight"])
+def test_what_has_no_photographs_under_lamps_is_refused(form: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"^leaf: ") as refused:
-        write(PHOTO_RECIPES["full"].app, Task("leaf", {}), tmp_path / "leaf")
+        fit_of(PHOTO_RECIPES["full"].app, {}, Task("leaf", {})).write_export(form, tmp_path / "leaf")
     assert says(str(refused.value), "leaf", "photos under many lamps", "rti", ".lp")
     with pytest.raises(KeyError):  # `metapp export` then looks for the input
-        write(RTI.app, Task("coin", {}), tmp_path / "coin")
+        fit_of(RTI.app, {}, Task("coin", {})).write_export(form, tmp_path / "coin")
     assert not list(tmp_path.iterdir())

@@ -30,7 +30,7 @@ from tests.anisotropic import (
     solve_for_brushed,
 )
 from tests.browser import LEGEND_PX, assert_pictures_match, error_colours
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import fit_of, presenter_of
 
 APPS = {
     "nbrdf": Brdf(),
@@ -70,7 +70,7 @@ def theta_of(name: str) -> Params:
 def views(*names: str, task: Task | None = None, theta: Params | None = None) -> list[View]:
     shown = []
     for name in names:
-        view = make_view(presenter_of(APPS[name]), theta or theta_of(name), task or Task("lobe", {}))
+        view = make_view(fit_of(APPS[name], theta or theta_of(name), task or Task("lobe", {})))
         shown.append(view._replace(label=name))
     return shown
 
@@ -384,7 +384,7 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
         app, theta = isotropic()
     elif wrong:
         truth, task = shine, make_brdf_task("still", shine, 65_536)
-    grid = make_view(presenter_of(app), theta, task).arrays["residual"]
+    grid = make_view(fit_of(app, theta, task)).arrays["residual"]
     angles = angles_above(20_000, 8).float()
     if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown

@@ -14,8 +14,8 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.appearance.surface import Surface
-from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
+from metapp.appearance.assets import Photograph, Surface
+from metapp.extensions.viewer.pages.flat import make_surface_view
 from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail
 from metapp.extensions.viewer.viewer_page import (
     VIEWER_KINDS,
@@ -37,8 +37,8 @@ def surface(*, photo: bool = False) -> View:
     """A rock, whose reference is itself, so that fit and reference are the same picture."""
     fit = rock_surface(32, tiles=False)
     above = torch.tensor([0.0, 0.0, 3.0])
-    lit = {"photo_1": LitPicture(above, above, photo=torch.rand(3, 32, 32))} if photo else {}
-    return make_surface_view(Surface(fit.colour, False, fit.maps), lit, reference=fit.maps)
+    lit = {"photo_1": Photograph(above, above, pixels=torch.rand(3, 32, 32))} if photo else {}
+    return make_surface_view(Surface(fit.maps, False), lit, reference=fit.maps)
 
 
 def pictures(name: str) -> View:

@@ -14,19 +14,18 @@ from typing_extensions import override
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import mean_luminance, resample_maps, sphere_normals, texel_directions
 from metapp.appearance.photograph import render_mirror_spheres
-from metapp.appearance.pictures import Picture
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.ball_sight import LOSS_PHOTO_PX, BallSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_sight import MapSight
-from metapp.apps.illumination.presenter import IlluminationPresenter
+from metapp.apps.illumination.radiance import Radiance
 from metapp.apps.illumination.spheres import SPHERE_NAMES, render_spheres
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours
-from tests.recipe_apps import application, presenter_of
+from tests.recipe_apps import asset_of, fit_of
 
 ROWS = 64
 GAP = 6  # px between panes
@@ -76,16 +75,14 @@ def shown(protocol: str) -> tuple[Illumination, Params]:
 
 def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted_map: Tensor) -> None:
     app, theta = shown("reference")
-    view = make_view(presenter_of(app), theta, task_of(lamps(2)))
+    view = make_view(fit_of(app, theta, task_of(lamps(2))))
     scale, light = view.facts["scale"], fitted_map.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
     torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
     assert (view.kind, dict(view.pictures)) == ("light", {})
-    assert set(make_view(presenter_of(app), theta, Task("lamps", {})).arrays) == {
-        "map"
-    }  # what was fitted is not at hand
+    assert set(make_view(fit_of(app, theta, Task("lamps", {}))).arrays) == {"map"}  # what was fitted is not at hand
 
 
 def test_suns_beyond_half_floats_are_kept() -> None:
@@ -93,11 +90,9 @@ def test_suns_beyond_half_floats_are_kept() -> None:
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
 
-    class Sunny(IlluminationPresenter):
-        def draw_map(self, theta: Params, task: Task) -> Picture:
-            return Picture(pixels, "radiance")
-
-    view = make_view(Sunny(app, application("illumination")), theta, Task("sun", {}))
+    fit = fit_of(app, theta, Task("sun", {}))
+    fit.asset = Radiance(pixels.permute(2, 0, 1))
+    view = make_view(fit)
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
@@ -105,7 +100,7 @@ def test_suns_beyond_half_floats_are_kept() -> None:
 
 def test_large_maps_are_averaged_and_the_page_says_so(fitted_map: Tensor) -> None:
     app, theta = shown("reference")
-    view = pages.make_illumination_view(presenter_of(app), theta, task_of(lamps(2)), largest=(16, 32))
+    view = pages.make_radiance_page(fit_of(app, theta, task_of(lamps(2))), largest=(16, 32))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
     torch.testing.assert_close(small, resample_maps(fitted_map / fitted_map.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
@@ -116,11 +111,11 @@ def test_large_maps_are_averaged_and_the_page_says_so(fitted_map: Tensor) -> Non
 
 def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted_map: Tensor) -> None:
     app, theta = shown("photo")
-    view = make_view(presenter_of(app), theta, task_of(fitted_map))
+    view = make_view(fit_of(app, theta, task_of(fitted_map)))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
-        make_view(presenter_of(app), theta, Task("lamps", {}))
+        make_view(fit_of(app, theta, Task("lamps", {})))
 
 
 def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted_map: Tensor) -> None:
@@ -128,7 +123,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted_map: Te
     task = task_of(fitted_map)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
-    ball = make_view(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
+    ball = make_view(fit_of(app, theta, task)).pictures["ball"].permute(2, 0, 1)
     target = app.decoder({key: value[None] for key, value in theta.items()}).photograph(LOSS_PHOTO_PX)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PHOTO_PX)[0] > 0.999
     assert (avg_pool2d(ball, 64 // LOSS_PHOTO_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
@@ -148,7 +143,7 @@ def opened_on(open_page: Callable) -> Callable[[str, Tensor], Page]:
 
     def call(protocol: str, reference: Tensor) -> Page:
         app, theta = shown(protocol)
-        page: Page = open_page(make_view(presenter_of(app), theta, task_of(reference)))
+        page: Page = open_page(make_view(fit_of(app, theta, task_of(reference))))
         page.set(paper="white")
         return page
 
@@ -167,7 +162,7 @@ def test_flat_view_shows_the_map_as_the_png_does(opened_on: Callable, fitted_map
     page.resize(2 * ROWS, ROWS)
     page.set(view="flat", show="fit")
     page.settle()
-    pixels = presenter_of(app).pictures(theta, task_of(lamps(2)))["map"].pixels
+    pixels = asset_of(app, theta, task_of(lamps(2))).pictures()["map"].pixels
     toned = tone_map(pixels / pixels.mean())
     assert_pictures_match(page.screenshot(), toned)
     page.set(exposure=2.0)

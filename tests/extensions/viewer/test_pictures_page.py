@@ -30,7 +30,7 @@ from metapp.runs.outputs.fit_files import write_pictures
 from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours, open_browser
 from tests.extensions.viewer.conftest import write_view_page
 from tests.needs_mitsuba import needs_mitsuba
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import asset_of, fit_of
 
 SIZE = 32
 WHOLE = FILE_SIDE_TIMES * SIZE
@@ -88,20 +88,20 @@ def in_rows() -> View:
 
 def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     theta, task = theta_of(), exemplar_of()
-    view = make_view(presenter_of(SHOWN), theta, task)
+    view = make_view(fit_of(SHOWN, theta, task))
     assert [(picture["title"], picture["tiles"]) for picture in view.facts["pictures"]] == [
         ("exemplar", "seams"),
         ("fit", "whole"),
         ("image quilting", "seams"),
     ]
-    assert torch.equal(view.pictures["fit"], presenter_of(SHOWN).pictures(theta, task)["texture"].pixels)
+    assert torch.equal(view.pictures["fit"], asset_of(SHOWN, theta, task).pictures()["texture"].pixels)
     exemplar, quilted = view.pictures["exemplar"], view.pictures["image quilting"]
     assert torch.equal((255 * exemplar).round().to(torch.uint8), task.data["image"].permute(1, 2, 0))
     assert quilted.shape == (QUILTED_SIDE_RATIO * SIZE, QUILTED_SIDE_RATIO * SIZE, 3)
     assert {tuple(texel) for texel in quilted.reshape(-1, 3).tolist()} <= {
         tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
     }
-    alone = make_view(presenter_of(SHOWN), theta, Task("bark", {}))
+    alone = make_view(fit_of(SHOWN, theta, Task("bark", {})))
     assert [picture["title"] for picture in alone.facts["pictures"]] == ["fit"]
 
 
@@ -159,7 +159,7 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
-    views = [make_view(presenter_of(SHOWN), theta_of(seed), exemplar_of()) for seed in (0, 1)]
+    views = [make_view(fit_of(SHOWN, theta_of(seed), exemplar_of())) for seed in (0, 1)]
     textures = [view._replace(label=f"seed {seed}", caption="error 0.1") for seed, view in enumerate(views)]
     file = write_view_page(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
     with open_browser() as browser:
@@ -205,7 +205,7 @@ def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
 @pytest.mark.long
 def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
     settings = {"show": "one", "tiles": 2, "zoom": 0}
-    fit = pixels_of(make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(make_view(fit_of(SHOWN, theta_of(), exemplar_of())).pictures["fit"])
     tiled = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="fit", **settings)
     assert np.array_equal(np.round(255 * tiled), np.round(255 * np.tile(fit, (2, 2, 1))))
     exemplar = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", **settings)
@@ -219,7 +219,7 @@ def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
 def test_wipe_and_difference_compare_the_chosen_pictures(page: Page) -> None:
     pictures = {
         name: pixels_of(picture)
-        for name, picture in make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
+        for name, picture in make_view(fit_of(SHOWN, theta_of(), exemplar_of())).pictures.items()
     }
     fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (FILE_SIDE_TIMES, FILE_SIDE_TIMES, 1))
     pair = {"left": "fit", "right": "exemplar", "zoom": 0}
@@ -236,7 +236,7 @@ def test_wipe_and_difference_compare_the_chosen_pictures(page: Page) -> None:
 
 @pytest.mark.long
 def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
-    fit = pixels_of(make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(make_view(fit_of(SHOWN, theta_of(), exemplar_of())).pictures["fit"])
     screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=2, x=10, y=-7)
     middle = WHOLE // 2
     rows, columns = (slice(middle + shift - WHOLE // 8, middle + shift + WHOLE // 8) for shift in (-7, 10))

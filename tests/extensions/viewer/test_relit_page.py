@@ -14,9 +14,10 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, grid_sample, normalize
 
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display
+from metapp.appearance.distant_lamps import render_lit
 from metapp.appearance.flash import relighting_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.lamps import render_lit
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.apps.svbrdf_nonstationary.rti.recipe import RTI
 from metapp.apps.svbrdf_nonstationary.rti.relit_planes import make_relit_planes
 from metapp.extensions.viewer.pages.relit import PLANE_COUNT, TABLE_SIDE, add_relit_photos, table_directions
@@ -25,7 +26,7 @@ from metapp.extensions.viewer.viewer_page import FitGroup, page_document
 from metapp.learning.task import Params, Task
 from tests.apps.rti.scenes import dome, lit_task, photograph, wavy_maps
 from tests.browser import Page, assert_pictures_match
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import asset_of, fit_of
 
 SIDE = 64
 STEP = 1 / 255
@@ -43,12 +44,12 @@ def shown(lamps: int = PLANE_COUNT, height: int = SIDE) -> tuple[View, Task]:
     task = lit_task(SIDE, lamps, specular=0.04)
     cut = {name: task.data[name][..., :height, :] for name in ("photo", "lit", "maps")}
     task = task._replace(data=task.data | cut)
-    return make_view(presenter_of(RTI.app), random_theta(), task), task
+    return make_view(fit_of(RTI.app, random_theta(), task)), task
 
 
 def relit_by_metapp(task: Task, lamps: Tensor) -> Tensor:
     """Display values [K, H, W, 3]."""
-    return linear_to_srgb(RTI.app.relight(random_theta(), task, lamps)).permute(0, 2, 3, 1)
+    return linear_to_srgb(RTI.app.sight.lit_photos(task).relight(lamps)).permute(0, 2, 3, 1)
 
 
 def relit_by_page(view: View, lamps: Tensor) -> Tensor:
@@ -83,7 +84,7 @@ def test_a_page_relights_as_metapp_does(lamps: int, height: int) -> None:
 def test_a_page_relights_by_few_planes_of_many_photos() -> None:
     """What is lost is what the planes leave out."""
     view, task = shown(40)
-    relit = make_relit_planes(task.data["lit"], task.data["lamps"], PLANE_COUNT)
+    relit = make_relit_planes(RTI.app.sight.lit_photos(task), PLANE_COUNT)
     expected = torch.einsum("mk,kchw->mhwc", relit.weights(LAMPS), relit.planes).clamp(0, 1)
     torch.testing.assert_close(relit_by_page(view, LAMPS), expected, atol=STEP, rtol=0)
     assert float((expected - relit_by_metapp(task, LAMPS)).square().mean().sqrt()) < 2 * STEP
@@ -109,10 +110,10 @@ def test_directions_lie_where_the_handle_of_the_lamp_does() -> None:
 def test_large_photos_are_reduced_and_kept_with_small_loss() -> None:
     lamps = dome(3)
     photos = photograph(wavy_maps(1100), lamps)
-    view = add_relit_photos(EMPTY, photos, lamps)
+    view = add_relit_photos(EMPTY, LitPhotos(photos, lamps))
     assert {tuple(picture.shape) for picture in view.pictures.values()} == {(1024, 1024, 3)}
     assert set(view.lossy) == set(view.pictures)
-    relit = make_relit_planes(photos, lamps, 3)
+    relit = make_relit_planes(LitPhotos(photos, lamps), 3)
     expected = adaptive_avg_pool2d(torch.einsum("mk,kchw->mchw", relit.weights(LAMPS), relit.planes), 1024)
     errors = relit_by_page(view, LAMPS) - expected.clamp(0, 1).permute(0, 2, 3, 1)
     assert float(errors.square().mean().sqrt()) < STEP
@@ -125,7 +126,7 @@ def test_small_photos_are_kept_without_loss() -> None:
 
 def test_a_view_needs_the_photos() -> None:
     with pytest.raises(KeyError):
-        make_view(presenter_of(RTI.app), {}, Task("waves", {}))
+        make_view(fit_of(RTI.app, {}, Task("waves", {})))
 
 
 # What the page shows
@@ -156,9 +157,7 @@ def test_the_screen_shows_photos_and_maps_under_one_lamp(open_page: Callable) ->
         assert_pictures_match(page.screenshot(), expected.numpy())
     page.set(show="fit")
     put_lamp(page, LAMPS[1])
-    surface = presenter_of(RTI.app).surface(random_theta(), task)
-    assert surface
-    assert surface.maps
+    surface = asset_of(RTI.app, random_theta(), task)
     texels = Maps(*(part[None].flatten(2)[..., None] for part in surface.maps))
     radiance = render_lit(texels, LAMPS[1][None, None])[0, 0].unflatten(-1, (SIDE, SIDE))
     assert_pictures_match(page.screenshot(), radiance_to_display(radiance).permute(1, 2, 0).numpy())
@@ -225,7 +224,7 @@ def test_diffuse_gain_and_highlights_follow_the_normals(open_page: Callable) -> 
     page, (view, task) = open_at_full_size(open_page, show="reference"), shown()
     x_and_y = (view.pictures["fit_detail"][..., :2] * 255 - 128) / 127
     normals = torch.cat([x_and_y, (1 - x_and_y.square().sum(-1, keepdim=True)).sqrt()], -1).reshape(-1, 3)
-    relit = make_relit_planes(task.data["lit"], task.data["lamps"], PLANE_COUNT)
+    relit = make_relit_planes(RTI.app.sight.lit_photos(task), PLANE_COUNT)
     planes = relit.planes.flatten(2)
     lamp = normalize(torch.tensor([0.3, 0.4, 0.9]), dim=0)
     plain = torch.einsum("k,kcp->cp", relit.weights(lamp[None])[0], planes)

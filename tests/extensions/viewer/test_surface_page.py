@@ -3,6 +3,7 @@
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task
+from metapp.appearance.assets import Photograph, Surface
 from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display
 from metapp.appearance.flash import (
     camera_distance,
@@ -19,19 +21,18 @@ from metapp.appearance.flash import (
     render_maps,
     texel_positions,
 )
-from metapp.appearance.surface import Surface
 from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
+from metapp.extensions.viewer.pages.flat import make_surface_view
 from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from tests.browser import assert_pictures_match
-from tests.recipe_apps import presenter_of
+from tests.recipe_apps import asset_of, fit_of
 from tests.surfaces import rock_surface
 
 SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large
@@ -90,10 +91,8 @@ def assert_same(maps: Maps, wanted: Maps) -> None:
 def test_a_view_holds_the_maps_that_are_written() -> None:
     """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
     shown, theta, task = stationary()
-    presenter = presenter_of(shown)
-    surface, view = presenter.surface(theta, task), make_view(presenter, theta, task)
-    assert surface
-    assert surface.maps is not None
+    fit = fit_of(shown, theta, task)
+    surface, view = fit.asset, make_view(fit)
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
     torch.testing.assert_close(heights, surface.heights_in_widths(), atol=1e-5, rtol=0)
@@ -102,16 +101,15 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
     photo = task.data["image"].movedim(0, -1) / 255
     torch.testing.assert_close(view.pictures["photo_1"], photo, atol=STEP / 2, rtol=0)
-    alone = make_view(presenter_of(shown), theta, Task("cloth", {}))
+    alone = make_view(fit_of(shown, theta, Task("cloth", {})))
     assert list(alone.facts["lit"]) == list(relighting_positions())
     assert "photo_1" not in alone.pictures
 
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = make_view(presenter_of(shown), theta, task), presenter_of(shown).pictures(theta, task)
+    view, files = make_view(fit_of(shown, theta, task)), asset_of(shown, theta, task).pictures()
     truth = rock_surface(64, tiles=False).maps
-    assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
     maps, lit = maps_in(view), view.facts["lit"]
     assert list(lit) == [*(f"photo_{i + 1}" for i in range(PHOTOS)), *relighting_positions()]
@@ -129,7 +127,7 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
     )
     assert not view.facts["tiles"]
     with pytest.raises(KeyError):
-        make_view(presenter_of(shown), theta, Task("rock", {}))
+        make_view(fit_of(shown, theta, Task("rock", {})))
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:
@@ -140,10 +138,10 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
     normal = normalize(torch.stack([-slopes[1], slopes[0], torch.ones(64, 64)]), dim=0)
     ones = torch.ones(1, 64, 64)
     maps = Maps(ones.expand(3, -1, -1), ones, ones, normal)
-    view = make_surface_view(Surface(maps.diffuse, False, maps), {})
+    view = make_surface_view(Surface(maps, False), {})
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"][..., 0])
     torch.testing.assert_close(heights[8:-8, 8:-8], (wave / 2)[8:-8, 8:-8], atol=1e-3, rtol=0)
-    known = make_surface_view(Surface(maps.diffuse, False, maps, ones * torch.linspace(0, 6.4, 64)), {})
+    known = make_surface_view(Surface(maps, False, ones * torch.linspace(0, 6.4, 64)), {})
     assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
 
 
@@ -152,7 +150,6 @@ def test_large_maps_are_reduced() -> None:
     large = rock_surface(128)
     view = make_surface_view(large, {}, largest=64)
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
-    assert large.maps is not None
     maps = maps_in(view)
     torch.testing.assert_close(
         maps.diffuse, large.maps.diffuse.unfold(1, 2, 2).unfold(2, 2, 2).mean((3, 4)), atol=1e-5, rtol=0
@@ -161,7 +158,7 @@ def test_large_maps_are_reduced() -> None:
     heights = large.heights_in_widths()
     assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
     assert view.pictures["fit_specular"].shape[-1] == 3
-    gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))
+    gray = replace(large, maps=large.maps._replace(specular=large.maps.specular[:1]))
     assert make_surface_view(gray, {}).pictures["fit_specular"].shape[-1] == 1
 
 
@@ -169,14 +166,11 @@ def test_large_maps_are_reduced() -> None:
 def test_screen_shows_fit_and_reference_of_the_rock_surface(open_page: Callable) -> None:
     """Of glossy metal and stone; the reference is the photograph under its flash, which lies aside, else true maps."""
     fit, truth = rock_surface(64), rock_surface(64, tiles=False).maps
-    assert fit.maps is not None
-    assert truth is not None
     light, eye = torch.tensor([0.3, -0.2, 2.0]), torch.tensor([-0.1, 0.4, 2.2])
     photo = torch.rand(3, 64, 64, generator=seeded())
     truth = truth._replace(roughness=0.5 * truth.roughness)
-    page = open_page(
-        make_surface_view(fit, {"photo_1": LitPicture(light, eye, 0.7, photo, 0.5)}, falloff=2, reference=truth)
-    )
+    shown = Photograph(light, eye, 0.7, pixels=photo, shown_share=0.5)
+    page = open_page(make_surface_view(replace(fit, falloff=2), {"photo_1": shown}, reference=truth))
     page.resize(64, 64)
     page.set(view="picture", pictured="photo_1", show="reference")
     page.settle()
@@ -223,7 +217,7 @@ def test_a_light_map_lights_tilted_normals(open_page: Callable) -> None:
     ones = torch.ones(1, 8, 8)
     normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * ones
     maps = Maps(0.4 * ones.expand(3, -1, -1), 0.3 * ones, 0.3 * ones, normal)
-    view = make_surface_view(Surface(maps.diffuse, True, maps, ones), {})
+    view = make_surface_view(Surface(maps, True, ones), {})
     white = view._replace(shared={"light": torch.ones(8, 16, 3).half()})
     page = open_page(white)
     page.resize(48, 48)
@@ -253,7 +247,7 @@ def test_a_fitted_light_of_the_page_lights_materials(open_page: Callable) -> Non
     ones = torch.ones(1, 8, 8)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(0.4 * ones.expand(3, -1, -1), 0.04 * ones, 0.6 * ones, up)
-    material = make_surface_view(Surface(maps.diffuse, True, maps, ones), {})
+    material = make_surface_view(Surface(maps, True, ones), {})
     material = material._replace(shared={"light": torch.ones(8, 16, 3).half()})
     red = torch.tensor([1.0, 0.0, 0.0]).expand(8, 16, 3).half()
     light = View("light", {"map": red}, facts={"scale": 1.0, "note": ""})
@@ -281,7 +275,7 @@ def test_raised_parts_cast_shadows(open_page: Callable) -> None:
     height[..., 118:138] = 0.1 * 256  # texels
     flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(0.5 * ones.expand(3, -1, -1), 0.02 * ones, 0.9 * ones, flat)
-    page = open_page(make_surface_view(Surface(maps.diffuse, True, maps, height), {}))
+    page = open_page(make_surface_view(Surface(maps, True, height), {}))
     page.resize(268, 268)  # where the plane is 200 px wide
     far = "{ light: 'lamp', lamp: new THREE.Vector3(-1e3, 0, 1e3), power: Math.PI * 2e6 }"
     page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")

@@ -11,14 +11,12 @@ from typing import Any
 
 import pytest
 
-from metapp.appearance.presenter import Presenter
-from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
 from metapp.extensions.viewer.runs_page import fit_synthetic_input
 from metapp.extensions.viewer.view import View, make_view
-from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs import api
+from metapp.runs.fit import Fit
 from metapp.runs.inputs.finding import Input
 from metapp.storage.files import file_name
 
@@ -173,27 +171,25 @@ def test_applications_that_cannot_be_fitted_are_left_out_of_all(
 # pages, as entries of the registry name them
 
 
-def view_of_none(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
-    raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
+def view_of_none(fit: Fit) -> View:
+    raise ValueError(f"{fit.name}: no photo, expected one; give it by --input.")
 
 
-def view_of_some(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
-    return (view_of_none if task.name == "m0" else brdf.make_brdf_view)(presenter, theta, task)
+def view_of_some(fit: Fit) -> View:
+    return (view_of_none if fit.name == "m0" else brdf.make_reflectance_page)(fit)
 
 
 def test_fits_that_cannot_be_shown_are_left_out(
     metapp: Callable, fit_networks: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = fit_networks("meta")
-    brdf = registry().applications["brdf"]
-    assert brdf.page is not None
-    page = replace(brdf.page, reference=f"{__name__}:view_of_some")
-    monkeypatch.setitem(vars(brdf), "page", page)
+    page = replace(registry().pages["reflectance"], reference=f"{__name__}:view_of_some")
+    monkeypatch.setitem(registry().pages, "reflectance", page)
     result = metapp("view", run, "--no-open", "--out", "some.html")
     assert (result.code, [group["title"] for group in groups_of(Path("some.html"))]) == (0, ["m1"])
     assert "warning: left out: meta of m0: no photo, expected one; give it by --input." in result.err
     page = replace(page, reference=f"{__name__}:view_of_none")
-    monkeypatch.setitem(vars(brdf), "page", page)
+    monkeypatch.setitem(registry().pages, "reflectance", page)
     assert "m0: no photo, expected one" in metapp("view", run, "--no-open", "--out", "none.html").error
     assert not Path("none.html").exists()
 
@@ -216,9 +212,9 @@ def test_without_the_extension_fits_work_and_view_is_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    assert make_view(fit.presenter, fit.parameters, fit.task).kind == "brdf"
-    monkeypatch.setitem(vars(registry().applications["brdf"]), "page", None)
-    view = make_view(fit.presenter, fit.parameters, fit.task)
+    assert make_view(fit).kind == "brdf"
+    monkeypatch.delitem(registry().pages, "reflectance")
+    view = make_view(fit)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 

@@ -10,17 +10,18 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.distant_lamps import render_lit
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
-from metapp.apps.svbrdf_nonstationary.lamps import render_lit
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import CurveNetwork, LitTexels, TexelAnswer
 from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_weights
-from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, left_out_db, left_out_gain_db
+from metapp.apps.svbrdf_nonstationary.rti.light_process import left_out_db, left_out_gain_db
 from metapp.apps.svbrdf_nonstationary.rti.lit_augmentation import draw_lit_texels
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks
 
@@ -68,6 +69,10 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
         return task.data["lit"]
 
     @override
+    def lit_photos(self, task: Task) -> LitPhotos:
+        return LitPhotos(task.data["lit"], task.data["lamps"].float())
+
+    @override
     def fill(self, answer: TexelAnswer, photo: Tensor) -> Maps:
         """Return the maps [T, C, H, W]; none are filled."""
         return Maps(*(part.reshape(*part.shape[:2], *photo.shape[-2:]) for part in answer.maps))
@@ -100,11 +105,11 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
     @override
     def fit_remarks(self, answer: TexelAnswer, task: Task) -> dict[str, object]:
         """Return the mean tilt of normals, the number of photographs, and how well others predict each left-out one."""
-        photos, lamps = task.data["lit"], task.data["lamps"].float()
+        lit_photos = self.lit_photos(task)
         return {
             "mean_tilt_degrees": mean_tilt_degrees(answer.maps.normal),
-            "left_out_db": float(left_out_db(choose_process(photos, lamps), photos, lamps).mean()),
-            "counts": {"photos": len(photos)},
+            "left_out_db": float(left_out_db(lit_photos.process, lit_photos.photos, lit_photos.lamps).mean()),
+            "counts": {"photos": len(lit_photos.photos)},
         }
 
     @override

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from metapp.apps.svbrdf_nonstationary.rti.light_process import (
     LightProcess,
-    choose_process,
     mix_photos,
     sample_pixels,
 )
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 
 
 class RelitPlanes(NamedTuple):
@@ -39,14 +39,9 @@ class RelitPlanes(NamedTuple):
         return self.process.interpolation(directions, self.lamps) @ self.mixture
 
 
-def make_relit_planes(photos: Tensor, lamps: Tensor, count: int) -> RelitPlanes:
-    """Return the `count` planes by which photographs are best approximated, at most one for each photograph.
-
-    Args:
-        photos: photographs, sRGB uint8 [N, 3, H, W].
-        lamps: unit vectors towards their lamps, [N, 3].
-        count: the number of planes.
-    """
+def make_relit_planes(lit_photos: LitPhotos, count: int) -> RelitPlanes:
+    """Return the `count` planes by which photographs are best approximated, at most one for each photograph."""
+    photos = lit_photos.photos
     sample = sample_pixels(photos).double()
     components = torch.linalg.eigh(sample @ sample.T).eigenvectors.flip(1)[:, :count].float()
-    return RelitPlanes(mix_photos(components.T, photos), components, lamps, choose_process(photos, lamps))
+    return RelitPlanes(mix_photos(components.T, photos), components, lit_photos.lamps, lit_photos.process)

@@ -16,7 +16,7 @@ from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, normalise, scale_size
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import TexelAnswer, answer_of
-from metapp.apps.svbrdf_nonstationary.rti.light_process import choose_process, mix_photos
+from metapp.apps.svbrdf_nonstationary.rti.light_process import mix_photos
 from metapp.learning.task import Params, Task, TensorSpec, add_task_axis
 
 
@@ -52,18 +52,10 @@ class RtiApp(SvbrdfNonstationary):
     @torch.no_grad()
     def rerender_photos(self, theta: Params, task: Task, shorter: int) -> tuple[Tensor, Tensor]:
         """Return each photograph as all others predict it, and the photographs, linear [N, 3, H, W]."""
-        lamps = task.data["lamps"].float()
-        process = choose_process(task.data["lit"], lamps)
-        photos = _pool_photos(task.data["lit"], scale_size(task.data["lit"], shorter))
-        return srgb_to_linear(mix_photos(process.leaving_one_out(lamps), photos).clamp(0, 1)), decode_photo(photos)
-
-    @override
-    @torch.no_grad()
-    def relight(self, theta: Params, task: Task, directions: Tensor) -> Tensor:
-        """Return the object as its photographs predict it: with shadows and reflections, which maps do not say."""
-        photos, lamps = task.data["lit"], task.data["lamps"].float()
-        weights = choose_process(photos, lamps).interpolation(directions, lamps)
-        return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1))
+        lit_photos = self.sight.lit_photos(task)
+        photos = _pool_photos(lit_photos.photos, scale_size(lit_photos.photos, shorter))
+        weights = lit_photos.process.leaving_one_out(lit_photos.lamps)
+        return srgb_to_linear(mix_photos(weights, photos).clamp(0, 1)), decode_photo(photos)
 
 
 def _pool_photos(photos: Tensor, size: Sequence[int]) -> Tensor:

@@ -114,11 +114,6 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
         return torch.stack([task.data["photo"], *task.data.get("others", ())])
 
     @override
-    def picture_names(self, task: Task) -> list[str]:
-        """Return a name for each photograph: photo_1 and so on."""
-        return [f"photo_{number}" for number in range(1, 1 + len(self.photos(task)))]
-
-    @override
     def augment(self, tasks: Tasks, side: int, rng: Generator) -> tuple[SeenPhotos, TrueMaps]:
         materials, truth = draw_materials(tasks, side, rng)
         photos, places = draw_photo_sets(materials, tasks.data["places"].shape[1], rng)

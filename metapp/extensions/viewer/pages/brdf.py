@@ -6,7 +6,6 @@ side by side. The layouts that are packed here are read in `scripts/brdf.js`.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -16,32 +15,29 @@ from torch import Tensor
 
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.lobes import fit_lobes
-from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic, feature_network
-from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.view import View, crop_thumbnail, reference_light_map
-from metapp.learning.task import Params, Task
+from metapp.learning.task import Task
+from metapp.runs.fit import Fit
 
 SAMPLE_GRID_CELLS = (48, 24, 48)  # along phi_d in [0, 2 pi), theta_d, and the square root of theta_h
 WIDENING_ROUNDS = 4  # in each of which cells without samples take values from one cell farther
 MAX_PLOTTED_SAMPLES = 8192  # of plots
 
 
-def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
+def make_reflectance_page(fit: Fit) -> View:
     """Make the view of a fitted BRDF.
 
     It shows the fit, the samples if the task has some, and a reference if the material is known for all directions.
 
     Args:
-        presenter: the presenter of the application.
-        theta: the parameters of the fit, without a task axis.
-        task: the task that was fitted, without data if they are not at hand.
+        fit: the fit, whose task has no data if they are not at hand.
     """
-    network = find_network(theta)
-    folded, evaluate = network.fold(theta), functools.partial(network.evaluate, theta)
+    task, evaluate = fit.task, fit.asset.evaluate
+    folded = find_network(fit.parameters).fold(fit.parameters)
     lobes = fit_lobes(evaluate, folded.axes_azimuth_rad)
     arrays = {"weights": pack_layers(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:

@@ -6,6 +6,7 @@ The page's shader lights spheres by the map; it needs the albedos of lobes, whic
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,34 +19,29 @@ from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.ball_sight import SeenBall
 from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE, RADIANCE_FLOOR, shows_mirror
-from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import DIFFUSE_ALBEDO, DIFFUSE_SPECULAR, METAL_REFLECTANCE, SPHERE_ROUGHNESSES
 from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, add_task_axis
+from metapp.runs.fit import Fit
 
 MAX_LIGHT_MAP_TEXELS = (512, 1024)  # rows and columns of a map on a page
 ALBEDO_NODES = 32  # cosines at which albedos of lobes are tabulated
 
 
 @torch.no_grad()
-def make_illumination_view(
-    presenter: IlluminationPresenter, theta: Params, task: Task, *, largest: tuple[int, int] = MAX_LIGHT_MAP_TEXELS
-) -> View:
+def make_radiance_page(fit: Fit, *, largest: tuple[int, int] = MAX_LIGHT_MAP_TEXELS) -> View:
     """Make the view of a light map: to look around in, with spheres lit by it, and the ball of a fitted photograph.
 
     Args:
-        presenter: the presenter of the application.
-        theta: the parameters of the fit, without a task axis.
-        task: the task that was fitted, without data if they are not at hand.
+        fit: the fit, whose task has no data if they are not at hand.
         largest: rows and columns that a larger map is reduced to.
 
     Raises:
         KeyError: the fit is of a photograph, which the task lacks.
     """
-    app = presenter.app
-    batched_theta = add_task_axis(theta)
-    pixels = presenter.draw_map(theta, task).pixels
+    app: Any = fit.app
+    task, pixels = fit.task, fit.asset.linear_maps()["radiance"]
     unit = pixels.mean().clamp_min(1e-20)  # maps are shown in units of the fit's mean radiance
     light = pixels.permute(2, 0, 1) / unit
     maps = {"map": resample_maps(light, *largest) if light.shape[1] > largest[0] else light}
@@ -67,7 +63,7 @@ def make_illumination_view(
         seen = app.sight.gather(stack_tasks(app, [task]))
         pictures = {
             "photo": photo.permute(1, 2, 0),
-            "ball": _render_ball(app, batched_theta, seen).permute(1, 2, 0),
+            "ball": _render_ball(app, add_task_axis(fit.parameters), seen).permute(1, 2, 0),
         }
     lobes = torch.stack([lobe_albedos(roughness) for roughness in SPHERE_ROUGHNESSES.values()]).half()
     thumbnail = crop_thumbnail(tone_map(maps["map"]).permute(1, 2, 0))

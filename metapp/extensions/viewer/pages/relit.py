@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from metapp.appearance.colour import stretch_to_unit_range
+from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
 from metapp.apps.svbrdf_nonstationary.rti.relit_planes import make_relit_planes
 from metapp.extensions.viewer.view import View, channels_last, size_within
 
@@ -22,21 +23,20 @@ TABLE_SIDE = 64  # directions across; interpolation between them errs by 0.2/255
 CHANNELS = 4  # of a texture
 
 
-def add_relit_photos(view: View, photos: Tensor, lamps: Tensor) -> View:
+def add_relit_photos(view: View, lit_photos: LitPhotos) -> View:
     """Add photographs that a lamp relights to the view of a surface, beside its lit picture `relit`.
 
     Args:
         view: the view of the surface, of kind `surface`.
-        photos: photographs, sRGB uint8 [N, 3, H, W].
-        lamps: unit vectors towards their lamps, [N, 3].
+        lit_photos: the photographs.
     """
-    relit = make_relit_planes(photos, lamps, PLANE_COUNT)
-    size = size_within(MAX_PLANE_SIDE_PX, photos)
+    relit = make_relit_planes(lit_photos, PLANE_COUNT)
+    size = size_within(MAX_PLANE_SIDE_PX, lit_photos.photos)
     # display values of a relit photograph are linear in the planes, so that means over px may be taken first
     planes = {f"plane_{number}": adaptive_avg_pool2d(plane, size) for number, plane in enumerate(relit.planes)}
     stretched = {name: stretch_to_unit_range(plane) for name, plane in planes.items()}
     weights = relit.weights(table_directions().reshape(-1, 3)).reshape(TABLE_SIDE, TABLE_SIDE, -1)
-    facts = {"ranges": [[low, high] for _, low, high in stretched.values()], "photos": len(photos)}
+    facts = {"ranges": [[low, high] for _, low, high in stretched.values()], "photos": len(lit_photos.photos)}
     return view._replace(
         pictures={**view.pictures, **{name: channels_last(plane) for name, (plane, _, _) in stretched.items()}},
         lossy=tuple(planes) if max(size) > MAX_PNG_SIDE_PX else (),

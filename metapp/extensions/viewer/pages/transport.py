@@ -21,9 +21,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME
-from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import guide, guided_pictures
-from metapp.apps.transport.app import Transport
 from metapp.apps.transport.density_pictures import draw_flow_density, draw_sample_histograms
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guided_pictures import REGULAR, SceneRenderer, renderer_of
@@ -31,6 +29,7 @@ from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail, 
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.runs.environment import torch_defaults
+from metapp.runs.fit import Fit
 from metapp.storage import Document
 from metapp.storage.tensor_cache import load_or_compute_tensors
 
@@ -74,20 +73,14 @@ class RenderingProgress(NamedTuple):
     spp: Tensor
 
 
-def make_transport_view(presenter: Presenter[Transport], theta: Params, task: Task) -> View:
-    """Make the view of a scene: pictures by regular and by guided paths in equal time; densities without a scene.
-
-    Args:
-        presenter: the presenter of the application.
-        theta: the parameters of the fit, without a task axis.
-        task: the task that was fitted.
-    """
-    app = presenter.app
+def make_path_density_page(fit: Fit) -> View:
+    """Make the view of a scene: pictures by regular and by guided paths in equal time; densities without a scene."""
+    network, task = fit.asset.app.decoder.network, fit.task
     if "scene" in task.data:
-        return make_scene_view(app.decoder.network, theta, task)
-    fit = draw_flow_density(app.decoder.network, theta)
-    pictures = {"reference": draw_sample_histograms(task.data["samples"]), "fit": fit}
-    return make_pictures_view(pictures)._replace(thumbnail=crop_thumbnail(fit[:, : len(fit)]))
+        return make_scene_view(network, fit.parameters, task)
+    density = draw_flow_density(network, fit.parameters)
+    pictures = {"reference": draw_sample_histograms(task.data["samples"]), "fit": density}
+    return make_pictures_view(pictures)._replace(thumbnail=crop_thumbnail(density[:, : len(density)]))
 
 
 def make_scene_view(flow: Flow, theta: Params, task: Task, effort: Effort = DEFAULT_EFFORT) -> View:
