@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d
 
 from metapp.appearance.colour import DISPLAY_GAMMA
+from metapp.appearance.doubts import CLIPPED_HIGHLIGHT
 from metapp.appearance.flash import render_maps, texel_positions
 from metapp.appearance.lattice import even_out_brightness
 from metapp.appearance.svbrdf_maps import Maps
@@ -26,10 +27,6 @@ CLIPPED_RING_SHARE = 0.02  # a ring with a larger share of clipped px says no mo
 MIN_WHITE_DISPLAY_VALUE = 0.9  # least channel of a clipped highlight; paint that saturates one or two channels has less
 CLIPPED_WINDOW_HALF_SHARE = 1 / 128  # half the side of the window of a clipped px's surroundings, in sides of the photo
 MIN_CLIPPED_DENSITY = 0.5  # least share of clipped px in the window
-# This share lies between photos that show next to nothing clipped (< 0.1 % of px) and photos of which 0.5 % or more is.
-# The highlight of a flat material whose photo has 1 % of clipped px gives an F0 of at least 0.75 of the true one, of
-# photos with more clipped px down to 0.34 (9 in 10 of 136 renderings, roughness 0.16 to 0.6, F0 up to 1).
-WARNING_CLIPPED_PX_SHARE = 0.002
 F0_BOUND_CLAUSE = "so F0 is a lower bound"
 FILL_PX = 256  # side at which clipped px are found and fills are made, which are smooth
 FILL_MARGIN_SHARE = 1 / 64  # margin by which fills reach beyond clipped px, and over which they fade, in sides
@@ -271,23 +268,12 @@ def fill_gaps(sums: Tensor, weights: Tensor) -> Tensor:
     return torch.lerp(interpolate(coarse, size, mode="bilinear"), means, weights)
 
 
-def format_percent(share: float) -> str:
-    """Write a share in [0, 1] as a percentage of two digits.
-
-    >>> format_percent(0.01234), format_percent(1.0)
-    ('1.2 %', '100 %')
-    """
-    return f"{float(f'{100 * share:.2g}'):g} %"
-
-
 def clipped_highlight_warnings(photo: Tensor, effect: str, subject: str = "the photo") -> list[str]:
-    """Return a clause on a photo of whose px more than WARNING_CLIPPED_PX_SHARE clip and are white, else [].
+    """Return a clause on a photo of whose px more than a few clip and are white, else [].
 
     Args:
         photo: display values in [0, 1], [3, H, W].
         effect: says what clipping does to the maps, such as "so F0 is a lower bound".
         subject: names the clipped photo.
     """
-    share = float(find_white(photo).float().mean())
-    clause = f"{format_percent(share)} of {subject} is clipped, {effect} (a darker exposure shows more)"
-    return [clause] if share > WARNING_CLIPPED_PX_SHARE else []
+    return CLIPPED_HIGHLIGHT.about(float(find_white(photo).float().mean()), effect=effect, subject=subject)

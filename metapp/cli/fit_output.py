@@ -164,7 +164,7 @@ def _print_fits(fits: Sequence[Fit], run_folder: Path, options: RunOptions, rate
     if skipped := sum(fit.is_earlier for fit in fits):
         line = f"{skipped} of {len(fits)} inputs are skipped, since they have a fit by equal settings"
         say(f"{line}; metapp export writes other files of these fits" if options.exports else line)
-    for line in _describe_exports(fits, options.exports):
+    for line in describe_exports(fits, options.exports):
         say(line)
     place = fits[0].folder if len(fits) == 1 else run_folder
     say(f"fits: {place}")
@@ -237,7 +237,7 @@ def fit_line(fit: Fit) -> str:
     return f"{name}: {', '.join([*pictures, error, seconds])}"
 
 
-def _describe_exports(fits: Sequence[Fit], forms: Sequence[str]) -> Iterator[str]:
+def describe_exports(fits: Sequence[Fit], forms: Sequence[str]) -> Iterator[str]:
     """Yield a line for each exported file of new fits; many files of one format share a line."""
     for form in forms:
         paths = [export_path(fit.folder, form) for fit in fits if not fit.is_earlier]

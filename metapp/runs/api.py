@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from metapp.options import BadOption
+from metapp.options import BadOption, options_by_name
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import fit_each, make_fitters, say_doubts
@@ -24,8 +24,7 @@ from metapp.runs.resolve import resolve
 from metapp.runs.spec import RunOptions, Spec, parse_fit_options
 from metapp.runs.stored_fits import read_known_fit, read_run
 
-# Options that only fits in folders have, which the command line keeps and a Python program does not
-COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")
+PROGRAM_OPTIONS = ("data", "batch", "quiet")  # of commands, which programs have, too; programs see no progress
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
@@ -99,13 +98,13 @@ def fit_all(
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
-    for name in COMMAND_LINE_OPTIONS:
+    for name in options_by_name(RunOptions).keys() - set(PROGRAM_OPTIONS):
         if options.get(name):
             raise BadOption(f"{name}: an option of the command line, which keeps fits in folders; leave it out.")
     try:
         # tensors tell inputs apart; they must not be made on a default device that the program has set
         with torch_defaults(single=False):
-            return _fit_things(*parse_fit_options(app, paradigm, quiet=True, **options), sources or ())
+            return _fit_things(*parse_fit_options(app, paradigm, **options), sources or ())
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it

@@ -10,6 +10,7 @@ import contextlib
 import functools
 import json
 import os
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from os import PathLike
@@ -351,6 +352,8 @@ class Fit(msgspec.Struct, kw_only=True, dict=True, rename={"spec": "settings"}):
         theta = vars(self).get("parameters")
         self.place = write_fit_folder(run_folder, self.name, self.source, self.record, theta, draw)
         self.name = read_fit(self.place).name
+        for form in registry().exports_of(self.spec.application):  # those of a fit that this one has replaced
+            shutil.rmtree(self.place / form, ignore_errors=True)
 
     def draw(self, folder: Path) -> list[str]:
         """Write the pictures of the fit into a folder, and return lines about renderings that options ask for.

@@ -11,8 +11,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 
 from data_tools.synthetic.texture import synthetic_tasks
+from metapp.appearance.doubts import BROKEN_LINES_OF_TEXTURE
 from metapp.appearance.lines import SMALLEST_SIDE_PX, compare_lines
-from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 
 SIDE = 256
 
@@ -123,7 +123,7 @@ LIKE = ("planks", "cells", "knit", "spots")  # whose parts are alike; threads an
 
 def is_doubted(exemplar: Tensor, picture: Tensor) -> bool:
     """Return True if fits would say that a texture breaks lines."""
-    return compare_lines(exemplar, picture) < MIN_LINE_STRENGTH
+    return compare_lines(exemplar, picture) < BROKEN_LINES_OF_TEXTURE.limit
 
 
 @pytest.mark.parametrize("seed", SEEDS)

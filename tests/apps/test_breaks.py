@@ -7,10 +7,10 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.doubts import BROKEN_ROWS
 from metapp.appearance.height_fields import normal_from_height
 from metapp.apps.exemplar.breaks import break_strength
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.svbrdf_stationary.presenter import MAX_BREAK_STRENGTH
 from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -54,13 +54,13 @@ def test_rows_that_break_at_a_cut_are_told_from_rows_that_go_on(axis: int, perio
     for count in (period, 3 * period):
         assert break_strength(relief, move_half(own_places(), count, axis)) < 1.1
     for count in (period // 2, period + period // 2):
-        assert break_strength(relief, move_half(own_places(), count, axis)) > MAX_BREAK_STRENGTH
+        assert break_strength(relief, move_half(own_places(), count, axis)) > BROKEN_ROWS.limit
 
 
 def test_a_break_along_a_part_of_a_cut_is_told() -> None:
     places = own_places()
     places[:, 64:128, 64:128] = places[:, 64 + ROW_PX // 2 : 128 + ROW_PX // 2, 64:128].clone()
-    assert break_strength(slopes(0.3), places) > MAX_BREAK_STRENGTH
+    assert break_strength(slopes(0.3), places) > BROKEN_ROWS.limit
 
 
 def test_a_photograph_that_tiles_by_itself_does_not_break() -> None:

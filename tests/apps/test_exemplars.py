@@ -10,10 +10,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.doubts import LOST_ORDER
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
 from metapp.apps.exemplar.app import ExemplarApp, move_tiles
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
+from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.quilted import SOFTNESS_WEIGHT, QuiltedSvbrdf
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
@@ -89,7 +90,7 @@ def test_lost_order_is_doubted_where_networks_read_quilts(
     remedy = "a photo that shows it more often helps"
     kept = re.fullmatch(rf"keeps (\S+) of the photo's regular structure \({remedy}\)", clause)
     assert kept
-    assert 0 <= float(kept[1]) < MIN_ORDER_SHARE
+    assert 0 <= float(kept[1]) < LOST_ORDER.limit
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
     copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)

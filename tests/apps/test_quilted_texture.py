@@ -12,11 +12,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.doubts import BROKEN_LINES_OF_TEXTURE
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import compare_lines
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import ResizedTile, lost_order, make_piece_source, quilt_places
-from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.texture import baselines
 from metapp.learning.app import stack_tasks
@@ -204,7 +204,7 @@ def test_lines_of_torn_pictures_are_weak_and_those_of_fits_are_not(task: Task) -
             y, x = torch.randint(0, 240, (2,), generator=rng).tolist()
             torn[:, row : row + 16, column : column + 16] = photo[:, y : y + 16, x : x + 16]
     moved = photo.roll((64, 64), (1, 2))
-    assert compare_lines(photo, torn) < MIN_LINE_STRENGTH < compare_lines(photo, moved)
+    assert compare_lines(photo, torn) < BROKEN_LINES_OF_TEXTURE.limit < compare_lines(photo, moved)
 
 
 def test_textures_without_the_photograph_have_the_size_of_the_quilt(theta: Params) -> None:

@@ -342,7 +342,7 @@ REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
     ("brdf", lambertian, {"rule": "magic"}, r"^--rule: 'magic' is not a rule; expected one of"),
     ("brdf", lambertian, {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),
     *(("brdf", lambertian, {name: value}, f"^{name}: an option of the command line")
-      for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items()),
+      for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl", "out": "runs"}.items()),
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from metapp.appearance.doubts import BROKEN_LINES_OF_TEXTURE, LOST_ORDER, REPETITION, VISIBLE_CUTS, Doubt
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import compare_lines
 from metapp.appearance.pictures import VisibleData
@@ -22,10 +23,6 @@ from metapp.apps.exemplar.app import ExemplarApp
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.networks.quilted import copied_share, repeated_share, seam_strength
 
-MIN_ORDER_SHARE = 0.5  # share of an exemplar's order below which a picture has lost it; quilting keeps 0.68 to 1.0
-# Change across the cuts of a quilt over the exemplar's, above which cuts are seen
-MAX_SEAM_STRENGTH = 1.3
-MAX_REPEATED_SHARE = 0.2  # share of a quilt that comes back at one shift, above which an eye finds the repetition
 MIN_FILE_PX = 16  # shortest side of pictures in files
 LARGEST_PX = 4096  # longest side of pictures in files
 
@@ -37,10 +34,10 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
     """The presenter of pictures or maps that a network generates from noise, like one exemplar.
 
     Attributes:
-        min_line_strength: the strength of a picture's lines over the exemplar's below which the picture breaks them.
+        broken_lines: the doubt about a picture by the strength of its lines over the exemplar's.
     """
 
-    min_line_strength: ClassVar[float] = 0.0
+    broken_lines: ClassVar[Doubt] = BROKEN_LINES_OF_TEXTURE
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
@@ -102,15 +99,8 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             exemplar: the exemplar, [3, H, W], evenly lit.
             picture: the fit's picture of that size, evenly lit.
         """
-        share = kept_order_share(find_lattice(exemplar), picture)
-        if share < MIN_ORDER_SHARE:  # False for NaN: without a lattice nothing is lost
-            return [f"keeps {share:.2f} of the photo's regular structure ({remedy_for('it')})"]
-        strength = compare_lines(exemplar, picture)
-        if strength < self.min_line_strength:
-            figures = f"{strength:.2f} as strong, expected {self.min_line_strength:g} or more"
-            remedy = remedy_for("them")
-            return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy})"]
-        return []
+        lost = LOST_ORDER.about(kept_order_share(find_lattice(exemplar), picture))
+        return lost or self.broken_lines.about(compare_lines(exemplar, picture))
 
     def _find_visible_pieces(self, exemplar: Tensor, quilt: Tensor, places: Tensor) -> list[str]:
         """Return a clause on pieces of a quilt that an eye tells from each other or finds again, or none.
@@ -121,13 +111,10 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             places: the places of its cells in the exemplar, [2, rows, columns].
         """
         even, cells = remove_quadratic_trend(exemplar), self.app.octaves.octave_size()
-        if (strength := seam_strength(even, quilt, places, cells)) > MAX_SEAM_STRENGTH:
-            figure = f"changes across them are {strength:.1f} times as strong as the photo's"
-            return [f"shows the cuts between pieces of the photo ({figure}, {remedy_for('its structure')})"]
-        share = repeated_share(places, cells)
-        if share > MAX_REPEATED_SHARE and not find_lattice(even).repeats:
-            return [f"repeats {share:.0%} of itself (a photo of more of the material helps)"]
-        return []
+        if clauses := VISIBLE_CUTS.about(seam_strength(even, quilt, places, cells)):
+            return clauses
+        repeats = REPETITION.about(repeated_share(places, cells))
+        return [] if repeats and find_lattice(even).repeats else repeats
 
     @override
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
@@ -142,11 +129,3 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         places, cells = quilts.places.cpu(), self.app.octaves.octave_size()
         figures = {"copied": copied_share(places, cells), "repeated": repeated_share(places, cells)}
         return {**super().remarks(theta, task), **figures}
-
-
-def remedy_for(lost: str) -> str:
-    """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence.
-
-    Another photograph is advised, since fits copy pieces of the one that they see.
-    """
-    return f"a photo that shows {lost} more often helps"

@@ -12,8 +12,9 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.doubts import HIDDEN_COLOURS, format_percent
 from metapp.appearance.flash import camera_distance
-from metapp.appearance.highlight import FILL_PX, clipped_highlight_warnings, fill_clipped, find_clipped, format_percent
+from metapp.appearance.highlight import FILL_PX, clipped_highlight_warnings, fill_clipped, find_clipped
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE, decode_photo, pixel_inputs
@@ -25,7 +26,6 @@ from metapp.learning.task import Params, Task, Tasks
 
 USUAL_LOG_HEIGHT = 0.05  # deviation of the log of a camera's height below which it is at `camera_distance`
 SMOOTHING = 0.03  # initial learned rounding of |d| in losses
-MIN_HIDDEN_SHARE = 0.01  # of a photograph that is said to lie beneath a highlight
 
 
 class SeenPhoto(NamedTuple):
@@ -119,12 +119,7 @@ class PhotoSight(MaterialSight[PhotographedMaps, Any]):
         shares = find_clipped(photos).float().mean((1, 2, 3)).tolist()
         effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
         clipped = [clipped_highlight_warnings(*pair) for pair in zip(photos, effects, strict=True)]
-        hidden = [
-            [f"{format_percent(share)} of the photo lies beneath a highlight: colours and gloss there are guesses"]
-            if share >= MIN_HIDDEN_SHARE
-            else []
-            for share in self.find_hidden_share(answer).tolist()
-        ]
+        hidden = [HIDDEN_COLOURS.about(share) for share in self.find_hidden_share(answer).tolist()]
         return [black + white + under for black, white, under in zip(warnings, clipped, hidden, strict=True)]
 
 

@@ -14,32 +14,26 @@ from typing_extensions import override
 
 from metapp.appearance.assets import Surface
 from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
+from metapp.appearance.doubts import BROKEN_LINES_OF_MATERIAL, BROKEN_ROWS, GUESSED_RELIEF
 from metapp.appearance.flash import relighting_positions
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.exemplar.breaks import break_strength
-from metapp.apps.exemplar.presenter import ExemplarPresenter, remedy_for
+from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
-# Strength of a picture's lines over the photo's, below which lines are broken
-MIN_LINE_STRENGTH = 0.85
-# How unlike the photo relief is across cuts, over how unlike itself the photo is, above which rows are broken; see the
-# README.md of the checkpoint
-MAX_BREAK_STRENGTH = 1.25
 UNMOVED_NOISE = -9.0  # of the numbers that say how far tiles are moved: not at all
-# Mean tilt of fitted normals from which a line says that they are guesses
-MIN_DOUBTED_TILT_DEGREES = 1.0
 
 
 class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     """The presenter of maps that tile: beside their flash photograph, and under other lights."""
 
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
-    min_line_strength = MIN_LINE_STRENGTH
+    broken_lines = BROKEN_LINES_OF_MATERIAL
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -88,7 +82,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         return [
             (clauses or _doubt_rows(photo_normal, places))
             + clipped_highlight_warnings(image, F0_BOUND_CLAUSE)
-            + _doubt_relief(normal)
+            + GUESSED_RELIEF.about(mean_tilt_degrees(normal))
             for clauses, image, photo_normal, normal, places in zip(
                 warnings, images, photo_normals, normals, quilts.places, strict=True
             )
@@ -115,17 +109,6 @@ def _doubt_rows(photo_normal: Tensor, places: Tensor) -> list[str]:
         photo_normal: the normals of the photo, [3, H, W]; nearly flat ones show no break.
         places: the place in the photo of each of the fit's cells, [2, H, W].
     """
-    if mean_tilt_degrees(photo_normal) < MIN_DOUBTED_TILT_DEGREES:
+    if mean_tilt_degrees(photo_normal) < GUESSED_RELIEF.limit:
         return []
-    strength = break_strength(photo_normal[:2], places)
-    if not strength > MAX_BREAK_STRENGTH:  # NaN: without rows or cuts nothing breaks
-        return []
-    figures = f"{strength:.2f} times as unlike the photo as the photo is, expected {MAX_BREAK_STRENGTH:g} or less"
-    return [f"breaks rows of the relief at cuts, as lit_from_left.png shows ({figures}, {remedy_for('them')})"]
-
-
-def _doubt_relief(normal: Tensor) -> list[str]:
-    """Return a clause on the relief of normals [..., 3, H, W], unless they are nearly flat."""
-    tilt_degrees = mean_tilt_degrees(normal)
-    clause = f"relief, tilted by {tilt_degrees:.1f} degrees on average, is a guess, as one photo hardly tells it"
-    return [clause] if tilt_degrees >= MIN_DOUBTED_TILT_DEGREES else []
+    return BROKEN_ROWS.about(break_strength(photo_normal[:2], places))

@@ -15,15 +15,11 @@ from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Params, Task
 
-# Strength of a texture's lines over the exemplar's, below which lines are broken: 5 of 66 fits of photographs
-MIN_LINE_STRENGTH = 0.935
-
 
 class TexturePresenter(ExemplarPresenter[Texture]):
     """The presenter of a texture that tiles, beside its exemplar."""
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
-    min_line_strength = MIN_LINE_STRENGTH
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:

@@ -36,8 +36,9 @@ def make_baseline_command(application: Application) -> Callable[..., None]:
     """Return the command that runs a method on tasks of an application."""
     method_names = ", ".join(application.baselines)
 
-    def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
-        spec, options = parse_fit_options(application.name, "general", device="cpu", **values)
+    def command(inputs: list[Path] | None, method: str, json: bool, export: list[str] | None, **values: Any) -> None:
+        forms = ",".join(export or ())
+        spec, options = parse_fit_options(application.name, "general", device="cpu", export=forms, **values)
         run_and_print(spec, options, inputs or [], method, json=json)
 
     inputs_argument = typer.Argument(
@@ -84,13 +85,15 @@ def is_size_option(application: Application, option: str) -> bool:
 
 def run_and_print(spec: Spec, options: RunOptions, paths: Sequence[Path], method: str, *, json: bool) -> None:
     """Run a method on inputs, and print a table of its fits, or one JSON object."""
+    from metapp.cli.fit_output import describe_exports
     from metapp.extensions.baselines.baseline_run import run_baseline
 
     baseline_run = run_baseline(spec, options, paths, method)
     if not (options.quiet or json):
         standard_output().print(baseline_run.describe(), soft_wrap=len(baseline_run.fits) == 1)
     if not options.quiet:
-        say(f"{method} cannot {baseline_run.cannot}\nfits: {baseline_run.path}")
+        exports = describe_exports(baseline_run.fits, options.exports)
+        say("\n".join([f"{method} cannot {baseline_run.cannot}", f"fits: {baseline_run.path}", *exports]))
     if json:
         print_json(
             {

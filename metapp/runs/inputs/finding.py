@@ -22,7 +22,6 @@ from data_tools.readers.listing import files_below
 from metapp.application import Application, Facts
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.options import BadOption
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.data_sets.embedded import make_embedded_set, make_embedded_test_set
 from metapp.runs.inputs.refusals import check_files_of_user, describe_document, is_empty
@@ -121,7 +120,6 @@ def find(spec: Spec, things: Sequence[object] = (), data: Path | None = None, *,
         quiet: whether no progress is shown where the embedded data set is drawn.
 
     Raises:
-        BadOption: an option about INPUT is given for a data set.
         ValueError: there is no such path, it is nothing that the application reads, or two formats read it.
     """
     application = spec.application
@@ -136,7 +134,6 @@ def find(spec: Spec, things: Sequence[object] = (), data: Path | None = None, *,
         if data:
             read_named_manifest(data)  # the set that a checkpoint was trained on: a mistyped folder is an error
         if not things:
-            _refuse_options_about_files(spec, data)
             return find_in_data_set(spec, data or make_embedded_test_set(application, quiet))
         inputs: dict[tuple[str, str], Input] = {}
         for thing in things:
@@ -269,7 +266,6 @@ def _find_in_path(spec: Spec, path: Path) -> list[Input]:
         found = "a link to nowhere" if path.is_symlink() else "no such file or folder"
         raise ValueError(f"{path}: {found}; give existing input files.")
     if is_data_set(path):
-        _refuse_options_about_files(spec, path)
         return find_in_data_set(spec, path)
     forms = application.input_formats
     check_readable(path)
@@ -371,17 +367,6 @@ def _object_name(thing: object) -> str:
     place = getattr(thing, "filename", "")
     name = Path(place).stem if isinstance(place, str | PathLike) else ""
     return str(getattr(thing, "__name__", name)).strip("<>")
-
-
-def _refuse_options_about_files(spec: Spec, data: Path | None) -> None:
-    """Refuse options about INPUT where the test tasks of a data set are fitted.
-
-    Raises:
-        BadOption: there is such an option.
-    """
-    for name in spec.app_options.reader_keywords():
-        remedy = f"not about the data set {data}; leave it out" if data else "name what to fit"
-        raise BadOption(f"--{name.replace('_', '-')}: about INPUT alone; {remedy}.")
 
 
 def _input_refusal(application: Application, path: Path, expected: str) -> str:

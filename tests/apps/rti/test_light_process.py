@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from metapp.appearance.doubts import UNRELATED_LAMPS
 from metapp.apps.svbrdf_nonstationary.rti.light_process import (
     LightProcess,
     choose_process,
@@ -10,7 +11,6 @@ from metapp.apps.svbrdf_nonstationary.rti.light_process import (
     mix_photos,
 )
 from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
-from metapp.apps.svbrdf_nonstationary.rti.lit_sight import LEAST_GAIN_DB
 from metapp.apps.svbrdf_nonstationary.rti.relit_planes import make_relit_planes
 from tests.apps.rti.scenes import dome, lit_task, photograph, wavy_maps
 
@@ -73,4 +73,4 @@ def test_directions_of_other_photographs_are_a_doubt(lamps: int) -> None:
     task = lit_task(side=24, lamps=lamps, specular=0.04)
     mixed = task.data["lamps"][torch.randperm(lamps, generator=torch.Generator().manual_seed(2))]
     gains = [left_out_gain_db(task.data["lit"], directions) for directions in (task.data["lamps"], mixed)]
-    assert gains[0] > LEAST_GAIN_DB + 1 > LEAST_GAIN_DB - 1 > gains[1]
+    assert gains[0] > UNRELATED_LAMPS.limit + 1 > UNRELATED_LAMPS.limit - 1 > gains[1]

@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.distant_lamps import render_lit
+from metapp.appearance.doubts import UNRELATED_LAMPS
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
@@ -26,9 +27,6 @@ from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks
 
 LOG_FLOOR = 0.02  # of white: the log of radiance is flat below, where noise and interreflections are
-# Directions predict left-out photographs better than the mean photograph: by 4.3 dB or more on 30 rendered domes, by
-# 2.1 dB or less if they are the directions of other photographs
-LEAST_GAIN_DB = 3.0
 SMOOTHING = 0.05  # log radiance: |differences| of photographs and renderings are rounded off below
 
 
@@ -118,7 +116,7 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
         return [
             [
                 *clipped_highlight_warnings(colours.amin(0)[..., None] / 255, F0_BOUND_CLAUSE, "all photos"),
-                *_unrelated_warnings(left_out_gain_db(colours, lamps)),
+                *UNRELATED_LAMPS.about(left_out_gain_db(colours, lamps)),
             ]
             for colours, lamps in zip(seen.colours, seen.lamps, strict=True)
         ]
@@ -128,17 +126,3 @@ class LitSight(MaterialSight[TexelAnswer, LitTexels]):
         """Return what steps see, all photographs, which General reads, too."""
         count = len(task.data["lit"])
         return VisibleData(count, task.data["lit"][0].nbytes, count)
-
-
-def _unrelated_warnings(gain_db: float) -> list[str]:
-    """Return a clause on directions that predict photographs hardly better than the mean photograph; [] if they do.
-
-    >>> _unrelated_warnings(12.0)
-    []
-    """
-    if gain_db >= LEAST_GAIN_DB:
-        return []
-    return [
-        f"directions to lamps predict photos that are left out by {gain_db:.1f} dB better than the mean photo does, "
-        f"expected {LEAST_GAIN_DB:g} or more: they are those of other photos, or too few; all is a guess"
-    ]

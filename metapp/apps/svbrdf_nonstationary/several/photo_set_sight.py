@@ -16,8 +16,9 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.doubts import FLAT_RELIEF, UNEXPLAINED_AREAS, UNEXPLAINED_TEXELS, format_percent
 from metapp.appearance.flash import camera_position
-from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings, format_percent
+from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photos
@@ -53,13 +54,7 @@ MIN_HEIGHT_TEXELS, MAX_RESIDUAL_SHARE = 0.5, 0.95
 # Initial maps by photometric stereo, from which Overfit begins
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the one roughness of the surface
 INITIAL_MAPS_PX = 64  # largest side of the photographs that stereo reads; its maps are enlarged afterwards
-# Mean tilt of fitted normals below which a line says that they may be far off
-MIN_TILT_DEGREES = 3.0
-# Deviation of the logs of photographs from those of renderings, averaged over so many blocks a side, above which a line
-# says that the fit does not explain its photographs
-MAX_LOG_DIFFERENCE, COMPARED_BLOCKS = 0.02, 8
-# Median |difference| of the logs of photographs and renderings, above which a line says so; exact places have 0.002
-MAX_NOISE = 0.01
+COMPARED_BLOCKS = 8  # a side, over which photographs and renderings are averaged before they are compared
 
 
 class SeenPhotos(NamedTuple):
@@ -238,7 +233,7 @@ class PhotoSetSight(MaterialSight[TexelFit, SeenPhotos]):
             [
                 *clipped_highlight_warnings(linear_to_srgb(photos.amin(0)), F0_BOUND_CLAUSE, "all photos"),
                 *_left_out_warnings((1 - shows_material.mean((1, 2, 3))).tolist()),
-                *_flat_warnings(mean_tilt_degrees(normal[None])),
+                *FLAT_RELIEF.about(mean_tilt_degrees(normal[None])),
                 *_unexplained_warnings(photos, rendering, shows_material),
             ]
             for photos, shows_material, normal, rendering in zip(
@@ -280,20 +275,6 @@ def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:
     return pooled
 
 
-def _flat_warnings(tilt_degrees: float) -> list[str]:
-    """Return a clause on the relief of a surface whose normals are tilted by little on average; [] for more relief.
-
-    >>> _flat_warnings(5.0)
-    []
-    """
-    if tilt_degrees >= MIN_TILT_DEGREES:
-        return []
-    return [
-        f"the surface is nearly flat, with normals tilted by {tilt_degrees:.1f} degrees on average: relief is about as "
-        "large as its errors"
-    ]
-
-
 def _unexplained_warnings(photos: Tensor, renderings: Tensor, shows_material: Tensor) -> list[str]:
     """Return a clause on how far photographs differ from renderings of the maps; [] where they agree.
 
@@ -306,19 +287,8 @@ def _unexplained_warnings(photos: Tensor, renderings: Tensor, shows_material: Te
     """
     logs = (photos + RADIANCE_FLOOR).log() - (renderings.clamp(0, 1) + RADIANCE_FLOOR).log()
     difference = float(adaptive_avg_pool2d(logs.mean(1, keepdim=True) * shows_material, COMPARED_BLOCKS).std())
-    if difference > MAX_LOG_DIFFERENCE:
-        return [
-            f"photos differ from pictures of the maps by {100 * difference:.0f} % over wide areas: a place, a flash or "
-            "the surface is not as assumed, and maps may be wrong"
-        ]
     noise = float(logs.abs()[shows_material.expand_as(logs) > 0].median())
-    if noise <= MAX_NOISE:
-        return []
-    return [
-        f"photos differ from pictures of the maps by {100 * noise:.1f} % from texel to texel, expected up to "
-        f"{100 * MAX_NOISE:.0f} %: by relief that moves as the camera does, by places or by the camera's colours; "
-        "relief may be wrong"
-    ]
+    return UNEXPLAINED_AREAS.about(difference) or UNEXPLAINED_TEXELS.about(noise)
 
 
 def _left_out_warnings(shares: Sequence[float]) -> list[str]:
