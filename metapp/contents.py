@@ -30,7 +30,7 @@ def register(registry: Registry) -> None:
         application.register(registry)
     for name in RULES:
         registry.rules[name] = Lazy(f"metapp.learning.rules.named_rules:{name.replace('-', '_').upper()}")
-    registry.rules["gauss-newton"] = Lazy("metapp.apps.svbrdf_nonstationary.several.newton:GAUSS_NEWTON")
+    registry.rules["gauss-newton"] = Lazy("metapp.apps.svbrdf_nonstationary.multi_photo.newton:GAUSS_NEWTON")
     for name, (table, heading) in TABLES.items():
         registry.tables[name] = TableEntry(f"metapp.evaluation.tables.{table}", heading)
     registry.measures["SSIM"] = Measure(

@@ -33,7 +33,7 @@ LATE_IMPORTS = {
     "metapp/extensions/capture/hand_photos.py": "OpenCV",
     # Mitsuba and Dr.Jit take a libLLVM once and for all when they are imported, and 0.2 s
     "data_tools/readers/brdf_objects.py": "Dr.Jit is there if a BSDF of Mitsuba is given",
-    "metapp/apps/transport/guided_pictures.py": "integrators run after a scene is loaded",
+    "metapp/apps/transport/scene_renderer.py": "integrators run after a scene is loaded",
     "metapp/extensions/guided/guided_picture.py": "a part of Mitsuba that needs a variant",
     "metapp/extensions/scene_files/trial_loading.py": "limits of memory, which Unix alone has, come before Mitsuba",
     "metapp/rendering/paths/path_space.py": "paths are traced after a scene is loaded",

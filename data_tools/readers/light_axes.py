@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
+from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import find_curl
 
 # Readings of x and y as others, [2, 2] matrices by which directions are multiplied, and in words
 AXES = {

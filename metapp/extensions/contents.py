@@ -51,8 +51,8 @@ def capture(registry: Registry) -> None:
     illumination = registry.applications["illumination"]
     illumination.formats["ball"] = Format(f"{here}.ball.ball_reader", "LDR photos of a ball")
     illumination.merges["shutter"] = Lazy(f"{here}.ball.capture:merge_photos")
-    registry.commands["data markers"] = Command(f"{here}.markers.marker_commands:markers_command", position=150)
-    registry.commands["data rectify"] = Command(f"{here}.markers.marker_commands:rectify_command", position=160)
+    registry.commands["data markers"] = Command(f"{here}.rectified.marker_commands:markers_command", position=150)
+    registry.commands["data rectify"] = Command(f"{here}.rectified.marker_commands:rectify_command", position=160)
     registry.commands["data ball"] = Command(f"{here}.ball.ball_command:ball_command", position=170)
     registry.commands["data lights"] = Command(f"{here}.lights.lights_command:lights_command", position=175)
 

@@ -24,10 +24,10 @@ from data_tools.readers import gonio
 from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.features import IMAGENET_DIGESTS
-from metapp.apps.transport import guided_pictures
+from metapp.apps.transport import scene_renderer
 from metapp.apps.transport.guide import make_guide_table
-from metapp.apps.transport.guided_pictures import renderer_of
 from metapp.apps.transport.recipes import RECIPES as TRANSPORT_RECIPES
+from metapp.apps.transport.scene_renderer import renderer_of
 from metapp.extensions.scene_files import scene_reader
 from metapp.extensions.viewer.pages import transport as page
 from metapp.learning.app import stack_tasks
@@ -196,8 +196,8 @@ def _doubles(case: Case, cache: Path, monkeypatch: pytest.MonkeyPatch, request: 
         for name, recipe in TRANSPORT_RECIPES.items():
             few = replace(recipe.app, spp=4, reference_spp=4, shown_spp=4, overview_spp=1)
             monkeypatch.setitem(TRANSPORT_RECIPES, name, replace(recipe, app=few))
-        monkeypatch.setattr(guided_pictures, "make_guide_table", partial(make_guide_table, places=8, cells=8))
-        monkeypatch.setattr(guided_pictures, "renderer_of", partial(renderer_of, size=16))
+        monkeypatch.setattr(scene_renderer, "make_guide_table", partial(make_guide_table, places=8, cells=8))
+        monkeypatch.setattr(scene_renderer, "renderer_of", partial(renderer_of, size=16))
         effort = page.Effort(side_px=16, seconds=0.1, reference_seconds=0.1)
         monkeypatch.setattr(page, "make_scene_view", partial(page.make_scene_view, effort=effort))
         request.getfixturevalue("few_paths")

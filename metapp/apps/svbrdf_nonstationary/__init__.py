@@ -4,7 +4,7 @@ Read `maps`, what maps are, and `flashes`, how they look under a flash; then `ap
 of components. `field_maps` has the decoder of maps by a field, with `photographed_maps`, its answers; `material_sight`
 what all sights share, `maps_sight` fits that see the maps and `photo_sight` fits of one photograph; `map_judge` how
 maps are judged, with the outer loss of fields in `field_judge`; `encoder` General's encoder; `variants` data
-augmentation. `pretrained` has the components for one photograph by features of VGG-16, `several` those for several
+augmentation. `pretrained` has the components for one photograph by features of VGG-16, `multi_photo` those for several
 photographs, and `rti` those for photographs under many lamps. People photograph from the `places` that are drawn for
 training. `recipes` and `presenter` are as in every application.
 """
@@ -53,7 +53,7 @@ def register(registry: Registry) -> None:
         f"{package}.rti.recipe:RTI", inputs="photos under many lamps (RTI)", suits={"lamps": (3, math.inf)}
     )
     recipes["photo", "several"] = RecipeEntry(
-        f"{package}.several.recipe:SEVERAL", inputs="several photos", suits={"photos": (2, math.inf)}
+        f"{package}.multi_photo.recipe:SEVERAL", inputs="several photos", suits={"photos": (2, math.inf)}
     )
     formats = nonstationary.formats
     formats["svbrdf"] = Format("data_tools.readers.svbrdf_inputs", "flash photos, strips, a material's maps")

@@ -2,7 +2,7 @@
 
 What parameters mean, what a fit sees, and how it is judged are components: the maps themselves (`maps_sight`) or one
 photograph (`photo_sight`) with maps by a field (`field_maps`), one photograph by features of VGG-16 (`pretrained`), and
-several photographs with maps of texels (`several`).
+several photographs with maps of texels (`multi_photo`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `app` puts the application together; `path_fits` has the decoder, the paths that fits see, and the judge. Its network is
 the flow in `flow`, a chain of the splines in `spline`; `scene_encoder` predicts it from a small picture of the scene.
-`guide` makes tables of it, from which paths take their first direction, `guided_pictures` measures the pictures that
+`guide` makes tables of it, from which paths take their first direction, `scene_renderer` measures the pictures that
 such paths make, and `density_pictures` draws densities; `recipes`, `options` and `presenter` are as in every
 application.
 """

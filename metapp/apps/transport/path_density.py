@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from metapp.appearance.assets import Asset
 from metapp.appearance.pictures import Picture
-from metapp.apps.transport import density_pictures, guided_pictures
+from metapp.apps.transport import density_pictures, scene_renderer
 from metapp.apps.transport.app import Transport
 from metapp.learning.task import Params, Task
 
@@ -34,7 +34,7 @@ class PathDensity(Asset):
         """Return the scene guided by the density and without a guide; {} if there is no scene."""
         if "scene" not in self.task.data:
             return {}
-        renderer, spp = guided_pictures.renderer_of(self.task), self.app.shown_spp
+        renderer, spp = scene_renderer.renderer_of(self.task), self.app.shown_spp
         timed_pictures = {
             "guided": renderer.render_guided(self.app.decoder.network, self.theta, spp),
             "regular": renderer.render_regular(spp),
@@ -46,7 +46,7 @@ class PathDensity(Asset):
         """Return the film, and the directions at sixteen parts of it; with a scene, the film has a guided picture."""
         guided = None
         if "scene" in self.task.data:
-            renderer = guided_pictures.renderer_of(self.task)
+            renderer = scene_renderer.renderer_of(self.task)
             guided = renderer.render_guided(self.app.decoder.network, self.theta, self.app.overview_spp).picture
         return density_pictures.draw_flow_density(self.app.decoder.network, self.theta, guided)
 

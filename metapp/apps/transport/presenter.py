@@ -1,6 +1,6 @@
 """Presentation of fitted densities of light paths: pictures that fits guide, the densities themselves, and remarks.
 
-Scenes are rendered by `guided_pictures` and densities drawn by `density_pictures`; here it is chosen what is shown.
+Scenes are rendered by `scene_renderer` and densities drawn by `density_pictures`; here it is chosen what is shown.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from metapp.appearance.pictures import TimedFit, VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.apps.transport import density_pictures, guided_pictures
+from metapp.apps.transport import density_pictures, scene_renderer
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.path_density import PathDensity
 from metapp.learning.task import Params, Task
@@ -28,7 +28,7 @@ class TransportPresenter(Presenter[Transport]):
     @property
     @override
     def picture_measure(self) -> str:
-        notes = "".join(f"{plugin.integrator}; " for plugin in guided_pictures.extension_integrators().values())
+        notes = "".join(f"{plugin.integrator}; " for plugin in scene_renderer.extension_integrators().values())
         return (
             f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
             f"without next-event estimation (NEE); {notes}equal time is as long as regular takes, in seconds of CPU, "
@@ -42,7 +42,7 @@ class TransportPresenter(Presenter[Transport]):
         On the film there are the scene's picture and a picture that the fit guides; if there is no scene, the
         densities.
         """
-        reference = guided_pictures.renderer_of(task).noisy_reference if "scene" in task.data else None
+        reference = scene_renderer.renderer_of(task).noisy_reference if "scene" in task.data else None
         return {
             "reference": density_pictures.draw_sample_histograms(task.data["samples"], reference),
             "fit": PathDensity(self.app, theta, task).preview(),
@@ -52,13 +52,13 @@ class TransportPresenter(Presenter[Transport]):
     def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Measure MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time.
 
-        Pictures without a guide are measured, too: see :func:`metapp.apps.transport.guided_pictures.picture_errors`.
+        Pictures without a guide are measured, too: see :func:`metapp.apps.transport.scene_renderer.picture_errors`.
         """
         if "scene" not in task.data:
             return {}
         app = self.app
-        renderer = guided_pictures.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
-        return guided_pictures.picture_errors(renderer, app.decoder.network, fits, task)
+        renderer = scene_renderer.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
+        return scene_renderer.picture_errors(renderer, app.decoder.network, fits, task)
 
     @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:

@@ -12,7 +12,7 @@ from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_HEIGHT, decode_flash, render_photo
 from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, encode_roughness
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_reader
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
+from metapp.apps.svbrdf_nonstationary.pretrained.highlight_roughness import (
     describe_highlight,
     polish_shift,
     predict_roughness,

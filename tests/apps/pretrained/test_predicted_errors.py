@@ -8,12 +8,12 @@ from torch import Generator
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS
+from metapp.apps.svbrdf_nonstationary.pretrained.ensemble_maps import PARTS
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import (
     FeatureJudge,
     laplace_scales,
     negative_log_likelihood,
 )
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import PARTS
 from metapp.learning.task import Tasks
 
 CHANNELS = (3, 3, 1, 3)  # of each map

@@ -25,16 +25,16 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     init_reader,
     read_photos,
 )
-from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
-from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight, FitPhoto, TrainingPhoto
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
+from metapp.apps.svbrdf_nonstationary.pretrained.ensemble_maps import (
     HALVED_SLOPE,
     PARTS,
     SECOND_SHARE,
     SLOPE_GAIN,
-    MeanFieldMaps,
+    EnsembleMaps,
     UncertainMaps,
 )
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
+from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight, FitPhoto, TrainingPhoto
 from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
     FULL_APP,
     GUESS_CHANNELS,
@@ -59,7 +59,7 @@ def test_pretrained_recipe_alone_uses_features() -> None:
     parts = {
         name: {type(part) for part in (app.decoder, app.sight, app.judge, app.encoder)} for name, app in apps.items()
     }
-    feature_parts = {MeanFieldMaps, FeatureSight, FeatureJudge, FeatureEncoder}
+    feature_parts = {EnsembleMaps, FeatureSight, FeatureJudge, FeatureEncoder}
     assert {name for name, app_parts in parts.items() if app_parts & feature_parts} == {"pretrained"}
     assert parts["pretrained"] == feature_parts
     assert parts["full"] == {FieldMaps, PhotoSight, FieldJudge, PhotoEncoder}
@@ -111,7 +111,7 @@ def losses(app: SvbrdfNonstationary, maps: Maps, batch: Batch, monkeypatch: pyte
     count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
     flash = app.decoder.decode_flash_numbers(torch.zeros(count, FLASH_NUMBERS), torch.zeros(count, 1))
     answer = UncertainMaps(maps, flash, torch.full((count, 4, side // 4, side // 4), -2.0))
-    monkeypatch.setattr(MeanFieldMaps, "decode_for_training", lambda decoder, theta, seen: answer)
+    monkeypatch.setattr(EnsembleMaps, "decode_for_training", lambda decoder, theta, seen: answer)
     return app.outer_loss({}, batch, {})
 
 

@@ -63,7 +63,7 @@ def tilted_camera(degrees: float, azimuth: float = 0.0, distance: float = 28.0, 
 @functools.lru_cache(4)
 def printed_page(opening: int, paper: str = "a4") -> tuple[np.ndarray, tuple[float, float]]:
     """Return the printed page [H, W] in [0, 1] and the opening's centre in cm from the page's lower left."""
-    from metapp.extensions.capture.markers.sheet_page import draw_marker_sheet
+    from metapp.extensions.capture.rectified.sheet_page import draw_marker_sheet
 
     drawn = draw_marker_sheet(opening, paper)
     (axes,) = drawn.axes

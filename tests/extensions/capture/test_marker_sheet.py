@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.markers.sheet import (
+from metapp.extensions.capture.rectified.sheet import (
     OPENINGS_CM,
     marker_corners_cm,
     marker_dictionary,
     opening_of_markers,
 )
-from metapp.extensions.capture.markers.sheet_page import PAGES_CM, draw_marker_sheet, write_marker_sheet
+from metapp.extensions.capture.rectified.sheet_page import PAGES_CM, draw_marker_sheet, write_marker_sheet
 from tests.extensions.capture.marker_photos import PX_PER_CM, cv2, printed_page  # skips where there is no OpenCV
 
 POINT = 72 / 2.54  # a centimetre in the unit of PDF

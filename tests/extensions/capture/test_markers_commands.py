@@ -12,12 +12,12 @@ from PIL import Image
 from data_tools.readers.image_files import read_pixels
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.rectification import (
+from metapp.extensions.capture.rectified.rectification import (
     ONE_VIEW_SIDES,
     describe_doubtful_lenses,
     describe_single_view,
 )
-from metapp.extensions.capture.markers.sighting import focal_length_mm
+from metapp.extensions.capture.rectified.sighting import focal_length_mm
 from metapp.storage.folders import FolderKind, path_kind
 from tests.cli.messages import says
 from tests.extensions.capture.marker_photos import tilted_camera, write_photograph

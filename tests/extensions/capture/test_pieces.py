@@ -5,8 +5,8 @@ import pytest
 
 from tests.extensions.capture.marker_photos import cv2  # isort: skip
 
-from metapp.extensions.capture.markers.features import apply_homography
-from metapp.extensions.capture.markers.pieces import JUDGED_SIDE_PX, guess_by_pieces, match_pieces
+from metapp.extensions.capture.rectified.features import apply_homography
+from metapp.extensions.capture.rectified.pieces import JUDGED_SIDE_PX, guess_by_pieces, match_pieces
 
 SIZE = 480, 360  # width, height
 

@@ -13,14 +13,14 @@ from data_tools.readers import placed_photos
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.placed_photos import read_places
 from data_tools.readers.square_photos import field_of_view_rad
-from metapp.extensions.capture.markers.rectified_photos import (
+from metapp.extensions.capture.rectified.rectified_photos import (
     CameraSearch,
     find_cameras,
     rectify_opening,
     write_rectified_photos,
 )
-from metapp.extensions.capture.markers.sighting import Camera as Found
-from metapp.extensions.capture.markers.sighting import common_focal_length_mm, find_sheet, solve_camera
+from metapp.extensions.capture.rectified.sighting import Camera as Found
+from metapp.extensions.capture.rectified.sighting import common_focal_length_mm, find_sheet, solve_camera
 from tests.extensions.capture.marker_photos import (
     Camera,
     cv2,

@@ -11,11 +11,11 @@ from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted
 
 from data_tools.readers.placed_photos import read_task
 from data_tools.readers.square_photos import field_of_view_rad
-from metapp.extensions.capture.markers.features import apply_homography
-from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
-from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, show_views
-from metapp.extensions.capture.markers.registration import IDENTITY_MATCH, register_photos, select_neighbours
-from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
+from metapp.extensions.capture.rectified.features import apply_homography
+from metapp.extensions.capture.rectified.plane import cameras_on_plane, cameras_on_square
+from metapp.extensions.capture.rectified.rectified_photos import CameraSearch, find_cameras, show_views
+from metapp.extensions.capture.rectified.registration import IDENTITY_MATCH, register_photos, select_neighbours
+from metapp.extensions.capture.rectified.sighting import Sighting, common_focal_length_mm, solve_camera
 from tests.pictures import write_image
 
 VIEW = {"focal_mm": 26, "height": 320, "width": 360}

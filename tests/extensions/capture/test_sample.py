@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.markers import rectification, sample
-from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras
-from metapp.extensions.capture.markers.registration import MIDDLE_CORNERS
-from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
+from metapp.extensions.capture.rectified import rectification, sample
+from metapp.extensions.capture.rectified.rectified_photos import CameraSearch, find_cameras
+from metapp.extensions.capture.rectified.registration import MIDDLE_CORNERS
+from metapp.extensions.capture.rectified.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
 from tests.extensions.capture.test_registration import CAMERAS, material
 from tests.pictures import write_image

@@ -13,9 +13,9 @@ from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guided_pictures import REGULAR, REGULAR_NEE
 from metapp.apps.transport.path_fits import FlowDensity
 from metapp.apps.transport.recipes import RECIPES
+from metapp.apps.transport.scene_renderer import REGULAR, REGULAR_NEE
 from metapp.learning.task import Task
 from metapp.rendering.scenes.stored_text import encode_scene
 from tests.needs_mitsuba import needs_mitsuba

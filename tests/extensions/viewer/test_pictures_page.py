@@ -19,7 +19,7 @@ from metapp.apps.exemplar.app import FILE_SIDE_TIMES
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guided_pictures import REGULAR
+from metapp.apps.transport.scene_renderer import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.flat import QUILTED_SIDE_RATIO
 from metapp.extensions.viewer.view import View, make_view

@@ -25,7 +25,7 @@ from metapp.appearance.svbrdf_maps import Maps, pack_maps
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
-from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
+from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import of_several
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.viewer.pages.flat import make_surface_view
 from metapp.extensions.viewer.view import View, make_view

@@ -22,7 +22,7 @@ from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.encoder import ENCODER_LEAKY_SLOPE, apply_block, apply_pointwise, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
+from metapp.apps.svbrdf_nonstationary.pretrained.ensemble_maps import (
     PARTS,
     SECOND_SHARE,
     join_fields,
@@ -30,17 +30,17 @@ from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import (
     scale_slopes,
     select_second,
 )
+from metapp.apps.svbrdf_nonstationary.pretrained.highlight_roughness import (
+    add_highlight_reader,
+    predict_roughness,
+    roughness_shift,
+)
 from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
     GUESS_CHANNELS,
     OVERVIEW_PX,
     PATCH_KEYS,
     SIDE_STEP_PX,
     load_full_general,
-)
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
-    add_polish,
-    polish_shift,
-    predict_roughness,
 )
 from metapp.learning.composed import Encoder
 from metapp.learning.learn import expand_tasks
@@ -129,7 +129,7 @@ def init_reader(rng: Generator, code: int) -> Params:
         add_random_layer(f"overview{level}.first", width, below, 3, 3)
         add_random_layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
         add_random_layer(f"overview{level}.mean", width, width, gain=0.5)
-    add_polish(reader, rng)
+    add_highlight_reader(reader, rng)
     add_random_layer("code", code, WIDTHS[0], gain=0.3)
     add_random_layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
     reader["deviation.shift"] += math.log(INITIAL_DEVIATION)
@@ -248,6 +248,6 @@ def match_highlight(theta: Params, maps: Maps, shown: Tensor, height: Tensor) ->
         shown: the roughness that :func:`predict_roughness` returns, [T].
         height: heights of cameras in half sides of the patch, [T, 1], 0 where they are not known.
     """
-    shift = polish_shift(shown, maps, height[:, 0]) / (1 - SECOND_SHARE)
+    shift = roughness_shift(shown, maps, height[:, 0]) / (1 - SECOND_SHARE)
     roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
     return theta | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

@@ -17,7 +17,7 @@ from metapp.apps.svbrdf_nonstationary.flashes import render_photo
 from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, blots, log_radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import map_differences
 from metapp.apps.svbrdf_nonstationary.photo_sight import compare_photos
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import UncertainMaps
+from metapp.apps.svbrdf_nonstationary.pretrained.ensemble_maps import UncertainMaps
 
 PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # weights of the differences of maps, in the order of PARTS
 LIKELIHOOD_WEIGHT = 0.03

@@ -15,7 +15,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight
+from metapp.apps.svbrdf_nonstationary.pretrained.highlight_roughness import describe_highlight
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.task import Params
 from metapp.storage.checkpoint_files import read_entry

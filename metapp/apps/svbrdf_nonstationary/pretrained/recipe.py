@@ -10,9 +10,9 @@ from dataclasses import replace
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.field_maps import field_of
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import FeatureEncoder
+from metapp.apps.svbrdf_nonstationary.pretrained.ensemble_maps import EnsembleMaps
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_judge import FeatureJudge
 from metapp.apps.svbrdf_nonstationary.pretrained.feature_sight import FeatureSight
-from metapp.apps.svbrdf_nonstationary.pretrained.mean_field import MeanFieldMaps
 from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.recipe import OuterLoop
 from metapp.networks.field import LocalField
@@ -20,7 +20,7 @@ from metapp.networks.field import LocalField
 
 def of_features(network: LocalField) -> SvbrdfNonstationary:
     """Return the application whose fits of one photograph begin at General's maps by features of VGG-16."""
-    decoder, sight = MeanFieldMaps(network, "raised"), FeatureSight()
+    decoder, sight = EnsembleMaps(network, "raised"), FeatureSight()
     return SvbrdfNonstationary(decoder, sight, FeatureJudge(), FeatureEncoder(), FINEST_PX)
 
 

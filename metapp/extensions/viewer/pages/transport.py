@@ -21,10 +21,10 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME
-from metapp.apps.transport import guide, guided_pictures
+from metapp.apps.transport import guide, scene_renderer
 from metapp.apps.transport.density_pictures import draw_flow_density, draw_sample_histograms
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guided_pictures import REGULAR, SceneRenderer, renderer_of
+from metapp.apps.transport.scene_renderer import REGULAR, SceneRenderer, renderer_of
 from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail, make_pictures_view
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
@@ -153,7 +153,7 @@ def _load_or_render(
     settings = repr(tuple(effort)).encode()
     content = b"".join(tensor.detach().cpu().numpy().tobytes() for tensor in inputs)
     digest = hashlib.sha256(settings + content).hexdigest()
-    sources = [str(module.__file__) for module in (guide, guided_pictures, path_space)]
+    sources = [str(module.__file__) for module in (guide, scene_renderer, path_space)]
     return load_or_compute_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], render)
 
 

@@ -6,7 +6,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.several.handling import develop_photos, handle_photos
+from metapp.apps.svbrdf_nonstationary.multi_photo.handling import develop_photos, handle_photos
 
 SIDE = 64
 WITHOUT = {"max_registration_error": 0.0, "max_ambient_share": 0.0, "max_vignetting": 0.0}

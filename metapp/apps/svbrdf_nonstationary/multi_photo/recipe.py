@@ -1,7 +1,7 @@
 """The recipe of non-stationary svBRDFs from several photographs: maps of each texel, begun by photometric stereo.
 
 The recipe holds numbers of steps and rates alone; a step itself is in
-`metapp.apps.svbrdf_nonstationary.several.newton`.
+`metapp.apps.svbrdf_nonstationary.multi_photo.newton`.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import PhotoSetSight
+from metapp.apps.svbrdf_nonstationary.multi_photo.stereo_encoder import StereoEncoder
+from metapp.apps.svbrdf_nonstationary.multi_photo.texel_judge import TexelJudge
+from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelMaps
 from metapp.apps.svbrdf_nonstationary.recipes import GENTLE, PHOTO_RECIPES
-from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import PhotoSetSight
-from metapp.apps.svbrdf_nonstationary.several.stereo_encoder import StereoEncoder
-from metapp.apps.svbrdf_nonstationary.several.texel_judge import TexelJudge
-from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelMaps
 from metapp.learning.recipe import Adam, OuterLoop
 
 

@@ -22,11 +22,11 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     upsample,
 )
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes
-from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
-from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import SeenPhotos
-from metapp.apps.svbrdf_nonstationary.several.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_stereo
-from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelMaps
+from metapp.apps.svbrdf_nonstationary.multi_photo.flash_gains import estimate_flashes
+from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import RELIEF_CHANNELS
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import SeenPhotos
+from metapp.apps.svbrdf_nonstationary.multi_photo.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_stereo
+from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelMaps
 from metapp.learning.composed import Encoder
 from metapp.learning.task import Batch, Params
 from metapp.networks.layers import add_layer, apply_convolution

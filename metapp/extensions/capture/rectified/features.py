@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metapp.extensions.capture.hand_photos import import_opencv
-from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.rectified.sheet import Floats
 
 MIN_MATCHES = 10  # of two photographs, by which a homography is fitted
 

@@ -10,17 +10,17 @@ from torch import Generator, Tensor
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
-from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
-from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
-from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
-from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, SeenPhotos
-from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
+from metapp.apps.svbrdf_nonstationary.multi_photo import newton
+from metapp.apps.svbrdf_nonstationary.multi_photo.flash_gains import LIGHT_FLOOR
+from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import find_curl, find_slopes_of_curl
+from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import RELIEF_CHANNELS
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, SeenPhotos
+from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import of_several
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params
-from tests.apps.several.test_several_photos import PLACES
+from tests.apps.multi_photo.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
 # steps of flashes are solved from all texels of maps this small, and slopes up to rounding

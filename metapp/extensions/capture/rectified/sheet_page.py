@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from metapp.extensions.capture.hand_photos import import_opencv
-from metapp.extensions.capture.markers.sheet import MARKER_SIDE_CELLS, RULER_CM, marker_corners_cm, marker_dictionary
+from metapp.extensions.capture.rectified.sheet import MARKER_SIDE_CELLS, RULER_CM, marker_corners_cm, marker_dictionary
 from metapp.storage.files import write_atomically
 
 PAGES_CM = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}

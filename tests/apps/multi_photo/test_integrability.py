@@ -3,7 +3,7 @@
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
+from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import find_curl, find_slopes_of_curl, solve_slopes
 
 ROWS, COLUMNS = 5, 6
 

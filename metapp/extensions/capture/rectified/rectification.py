@@ -17,12 +17,12 @@ import numpy as np
 from data_tools.readers.image_files import lens_of
 from data_tools.readers.lenses import ExifLens
 from data_tools.readers.square_photos import find_images
-from metapp.extensions.capture.markers.found_outlines import FoundOutlines
-from metapp.extensions.capture.markers.marker_options import RectifyOptions
-from metapp.extensions.capture.markers.rectified_photos import CameraSearch, write_rectified_photos
-from metapp.extensions.capture.markers.sample import find_sample, measure_agreement
-from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Camera
+from metapp.extensions.capture.rectified.found_outlines import FoundOutlines
+from metapp.extensions.capture.rectified.marker_options import RectifyOptions
+from metapp.extensions.capture.rectified.rectified_photos import CameraSearch, write_rectified_photos
+from metapp.extensions.capture.rectified.sample import find_sample, measure_agreement
+from metapp.extensions.capture.rectified.sheet import Floats
+from metapp.extensions.capture.rectified.sighting import Camera
 from metapp.runs.reporter import progress, say
 from metapp.storage.folders import FAILED_PICTURE_SUFFIX, FOUND_FOLDER
 

@@ -20,10 +20,10 @@ from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.square_photos import CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.hand_photos import import_opencv, write_outlines
-from metapp.extensions.capture.markers.features import apply_homography
-from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
-from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
-from metapp.extensions.capture.markers.registration import (
+from metapp.extensions.capture.rectified.features import apply_homography
+from metapp.extensions.capture.rectified.found_outlines import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.rectified.plane import cameras_on_plane, cameras_on_square
+from metapp.extensions.capture.rectified.registration import (
     WHOLE_PHOTO_CORNERS,
     Registration,
     change_reference,
@@ -31,8 +31,8 @@ from metapp.extensions.capture.markers.registration import (
     refit_sightings,
     register_photos,
 )
-from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
-from metapp.extensions.capture.markers.sighting import (
+from metapp.extensions.capture.rectified.sheet import RULER_CM, Floats
+from metapp.extensions.capture.rectified.sighting import (
     MAX_MARKER_ERROR_SIDES,
     Camera,
     NoMarkersError,

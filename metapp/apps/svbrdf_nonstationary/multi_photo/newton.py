@@ -21,14 +21,14 @@ from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_LINEAR_VALUE, ROUGHNESS_CHANNEL, decode_maps
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import LIGHT_FLOOR
-from metapp.apps.svbrdf_nonstationary.several.integrability import (
+from metapp.apps.svbrdf_nonstationary.multi_photo.flash_gains import LIGHT_FLOOR
+from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import (
     RELATIVE_RESIDUAL,
     find_curl,
     find_slopes_of_curl,
     solve_slopes,
 )
-from metapp.apps.svbrdf_nonstationary.several.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, PhotoSetSight
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, PhotoSetSight
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
 from metapp.learning.composed import ComposedApp

@@ -19,7 +19,7 @@ from PIL.ImageFont import FreeTypeFont, ImageFont
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import draw_outlines
-from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.rectified.sheet import Floats
 from metapp.storage.files import to_json_value
 from metapp.storage.image_writers import write_png
 

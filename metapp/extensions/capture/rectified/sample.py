@@ -21,18 +21,18 @@ from scipy.spatial import cKDTree
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
-from metapp.extensions.capture.markers.features import apply_homography
-from metapp.extensions.capture.markers.found_outlines import ignore_outlines
-from metapp.extensions.capture.markers.plane import cameras_on_part
-from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, fit_cameras
-from metapp.extensions.capture.markers.registration import (
+from metapp.extensions.capture.rectified.features import apply_homography
+from metapp.extensions.capture.rectified.found_outlines import ignore_outlines
+from metapp.extensions.capture.rectified.plane import cameras_on_part
+from metapp.extensions.capture.rectified.rectified_photos import CameraSearch, find_cameras, fit_cameras
+from metapp.extensions.capture.rectified.registration import (
     MIDDLE_CORNERS,
     is_in_middle,
     reference_coordinates,
     refit_sightings,
 )
-from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Camera, Sighting
+from metapp.extensions.capture.rectified.sheet import Floats
+from metapp.extensions.capture.rectified.sighting import Camera, Sighting
 
 COMPARISON_SIDE_PX = 192  # side of the compared pictures
 # Heights of planes above the plane of registration; a step moves a picture by about a px.

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metapp.extensions.capture.hand_photos import import_opencv
-from metapp.extensions.capture.markers.features import apply_homography, fit_homography
-from metapp.extensions.capture.markers.sheet import Floats
+from metapp.extensions.capture.rectified.features import apply_homography, fit_homography
+from metapp.extensions.capture.rectified.sheet import Floats
 
 Picture = NDArray[np.float32]
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import brute, linprog
 
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
-from metapp.extensions.capture.markers.features import apply_homography
-from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Camera, Sighting, solve_camera
+from metapp.extensions.capture.rectified.features import apply_homography
+from metapp.extensions.capture.rectified.sheet import Floats
+from metapp.extensions.capture.rectified.sighting import Camera, Sighting, solve_camera
 
 _TRIED_MATCHES = 25  # matches of a photograph by which the plane is searched
 _MAX_SLOPE = 0.6  # of the plane against the picture plane of the reference
@@ -26,8 +26,8 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
     """Find the cameras above the plane by which photographs fit best; lengths are in distances of the first from it.
 
     Args:
-        sightings: the photographs that :func:`metapp.extensions.capture.markers.registration.register_photos` placed on
-            the first one.
+        sightings: the photographs, which :func:`metapp.extensions.capture.rectified.registration.register_photos`
+            placed on the first one.
         focal_mm: the focal length, as on 35 mm film, of photographs that do not state it.
     """
     sightings_with_focal = [sighting._replace(focal_mm=sighting.focal_mm or focal_mm) for sighting in sightings]

@@ -13,7 +13,7 @@ from torch.nn.functional import conv2d, pad
 from metapp.appearance.flash import texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.several.parallax import read_displaced
+from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import read_displaced
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material
 
 # Largest strengths of each effect, which are drawn evenly for each material

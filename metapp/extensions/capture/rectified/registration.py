@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
-from metapp.extensions.capture.markers.features import (
+from metapp.extensions.capture.rectified.features import (
     MIN_MATCHES,
     LocalFeatures,
     apply_homography,
@@ -27,10 +27,10 @@ from metapp.extensions.capture.markers.features import (
     fit_homography,
     match_features,
 )
-from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
-from metapp.extensions.capture.markers.pieces import JUDGED_SIDE_PX, PieceMatches, guess_by_pieces, match_pieces
-from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Sighting, diamond_outlines, focal_length_mm
+from metapp.extensions.capture.rectified.found_outlines import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.rectified.pieces import JUDGED_SIDE_PX, PieceMatches, guess_by_pieces, match_pieces
+from metapp.extensions.capture.rectified.sheet import Floats
+from metapp.extensions.capture.rectified.sighting import Sighting, diamond_outlines, focal_length_mm
 
 PRINT_MARKERS_ADVICE = "print a frame of markers: metapp data markers sheet.pdf"
 

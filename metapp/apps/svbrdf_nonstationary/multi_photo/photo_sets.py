@@ -11,8 +11,8 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_LOG_GAIN, FLASH_NUMBERS, decode_flash, render_photos
+from metapp.apps.svbrdf_nonstationary.multi_photo.handling import develop_photos, handle_photos
 from metapp.apps.svbrdf_nonstationary.places import held_places
-from metapp.apps.svbrdf_nonstationary.several.handling import develop_photos, handle_photos
 from metapp.apps.svbrdf_nonstationary.variants import Draw, draws_per_material
 
 # Shares of materials by how they are photographed; the rest is taken by hand without what a phone does to photographs

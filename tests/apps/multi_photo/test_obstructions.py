@@ -10,13 +10,13 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import texel_positions
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
-from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
-from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
+from metapp.apps.svbrdf_nonstationary.multi_photo import newton
+from metapp.apps.svbrdf_nonstationary.multi_photo.obstructions import remove_obstructions
+from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import of_several
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from tests.apps.several.test_parallax import SIDE, photographs
-from tests.apps.several.test_several_photos import general, relief
+from tests.apps.multi_photo.test_parallax import SIDE, photographs
+from tests.apps.multi_photo.test_several_photos import general, relief
 from tests.recipe_apps import presenter_of
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)

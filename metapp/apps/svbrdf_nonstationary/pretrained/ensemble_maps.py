@@ -43,7 +43,7 @@ class UncertainMaps(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MeanFieldMaps(FieldMaps):
+class EnsembleMaps(FieldMaps):
     """The decoder of maps that are the mean of two fields, but for slopes, which are the first field's alone.
 
     Networks with other features and other training materials make other errors, which the mean lowers. Steps of fits

@@ -14,7 +14,7 @@ import typer
 
 from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, check_new_file, expand_options
 from metapp.cli.console import print_json
-from metapp.extensions.capture.markers.marker_options import RectifyOptions, SheetOptions
+from metapp.extensions.capture.rectified.marker_options import RectifyOptions, SheetOptions
 from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
 from metapp.storage.files import add_suffix
@@ -39,7 +39,7 @@ def markers_command(
     """
     path, opening = add_suffix(path, ".pdf"), options.opening
     check_new_file(path, overwrite)
-    from metapp.extensions.capture.markers.sheet_page import write_marker_sheet
+    from metapp.extensions.capture.rectified.sheet_page import write_marker_sheet
 
     write_marker_sheet(path, opening, options.page)
     if not quiet:
@@ -77,7 +77,7 @@ def rectify_command(
     photos_alone = [path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX)]
     for path in photos_alone or paths:
         check_files_of_user(path, "photographs of a flat material")
-    from metapp.extensions.capture.markers.rectification import rectify_photos
+    from metapp.extensions.capture.rectified.rectification import rectify_photos
 
     rectified = rectify_photos(photos_alone, options, folder, quiet=quiet)
     photos, size, focal_mm = rectified.describe_photos(), rectified.size, rectified.focal_mm

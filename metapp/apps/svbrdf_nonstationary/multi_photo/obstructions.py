@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d, pad, relu
 
-from metapp.apps.svbrdf_nonstationary.several.stereo import (
+from metapp.apps.svbrdf_nonstationary.multi_photo.stereo import (
     NOISE_VALUE,
     STEREO_CLIPPED_LINEAR_VALUE,
     photometric_stereo,

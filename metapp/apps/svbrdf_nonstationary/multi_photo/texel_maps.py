@@ -13,8 +13,8 @@ from typing_extensions import override
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, Flash, decode_flash
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps
+from metapp.apps.svbrdf_nonstationary.multi_photo.flash_gains import log_floored_radiance
 from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialDecoder
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import log_floored_radiance
 from metapp.learning.task import Params
 
 

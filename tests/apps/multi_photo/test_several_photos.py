@@ -15,10 +15,10 @@ from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photos
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, decode_maps, decode_photo, encode_maps
+from metapp.apps.svbrdf_nonstationary.multi_photo import stereo
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_sets import draw_photo_sets
+from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import SEVERAL, of_several
 from metapp.apps.svbrdf_nonstationary.places import held_places
-from metapp.apps.svbrdf_nonstationary.several import stereo
-from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
-from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL, of_several
 from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters

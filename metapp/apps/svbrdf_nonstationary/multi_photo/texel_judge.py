@@ -10,7 +10,7 @@ from typing_extensions import override
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.map_judge import LitMaps, MapJudge, log_radiance_difference
 from metapp.apps.svbrdf_nonstationary.maps import encode_maps, find_slopes, map_differences
-from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelFit
+from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelFit
 
 # Weights in the outer loss of mean |differences|: of roughness the weight is 1
 RADIANCE_WEIGHT = 0.5  # of log radiance under random lights

@@ -16,8 +16,8 @@ from scipy.optimize import brute
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
-from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
-from metapp.extensions.capture.markers.sheet import (
+from metapp.extensions.capture.rectified.found_outlines import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.rectified.sheet import (
     RULER_CM,
     Floats,
     marker_corners_cm,

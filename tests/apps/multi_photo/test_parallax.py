@@ -11,16 +11,16 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import camera_distance, render_maps, texel_positions
 from metapp.appearance.height_fields import height_from_normal
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.svbrdf_nonstationary.several.parallax import (
+from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import (
     RELIEF_CHANNELS,
     Heights,
     find_heights,
     read_displaced,
     remove_parallax,
 )
-from metapp.apps.svbrdf_nonstationary.several.recipe import of_several
+from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import of_several
 from metapp.learning.task import Task
-from tests.apps.several.test_several_photos import relief
+from tests.apps.multi_photo.test_several_photos import relief
 
 SIDE = 128
 INNER = slice(10, -10), slice(10, -10)

@@ -31,13 +31,13 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     encode_roughness,
 )
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_materials
-from metapp.apps.svbrdf_nonstationary.several import stereo
-from metapp.apps.svbrdf_nonstationary.several.flash_gains import estimate_flashes, log_floored_radiance
-from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
-from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
-from metapp.apps.svbrdf_nonstationary.several.parallax import Heights, find_heights, remove_parallax
-from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
-from metapp.apps.svbrdf_nonstationary.several.texel_maps import TexelFit, TexelMaps
+from metapp.apps.svbrdf_nonstationary.multi_photo import stereo
+from metapp.apps.svbrdf_nonstationary.multi_photo.flash_gains import estimate_flashes, log_floored_radiance
+from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import find_curl
+from metapp.apps.svbrdf_nonstationary.multi_photo.obstructions import remove_obstructions
+from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import Heights, find_heights, remove_parallax
+from metapp.apps.svbrdf_nonstationary.multi_photo.photo_sets import draw_photo_sets
+from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelFit, TexelMaps
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks, TensorSpec
 

@@ -41,7 +41,7 @@ def describe_highlight(photos: Tensor) -> Tensor:
     return torch.cat([rings, logs.mean((1, 2, 3))[:, None], highlight_place.norm(dim=1, keepdim=True)], 1)
 
 
-def add_polish(reader: Params, rng: Generator) -> None:
+def add_highlight_reader(reader: Params, rng: Generator) -> None:
     """Add random layers for `predict_roughness`; with them no highlight is sharp at first."""
     add_layer(reader, rng, "polish.first", HIDDEN_UNITS, HIGHLIGHT_NUMBERS)
     add_layer(reader, rng, "polish.second", 1, HIDDEN_UNITS, gain=0.0)
@@ -61,7 +61,7 @@ def scale_roughness(shown: Tensor, height: Tensor) -> Tensor:
     return torch.where(height > 0, shown * (camera_distance() / height.clamp_min(1e-6)).sqrt(), shown)
 
 
-def polish_shift(shown: Tensor, maps: Maps, height: Tensor) -> Tensor:
+def roughness_shift(shown: Tensor, maps: Maps, height: Tensor) -> Tensor:
     """Return the shift [T] of unbounded roughness that moves maps to the roughness which the highlight shows.
 
     It goes all the way where that is far below POLISHED_ROUGHNESS and the maps are far flatter than FLAT_SINE, else it
