@@ -85,6 +85,7 @@ class Format(Lazy[Any]):
 class MakeAsset(Protocol):
     """A function that makes an asset of a fit: its answer, complete, as people use it.
 
+    >>> import torch
     >>> from metapp.appearance.assets import Texture
     >>> def make_texture(app, theta, task, size):
     ...     return Texture(theta["image"], tiles=False)

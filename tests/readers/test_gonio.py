@@ -17,7 +17,7 @@ from data_tools.readers.measured_pairs import MeasuredPairs
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.colorimetry import import_colour_science, spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz, is_above_horizon, rusinkiewicz_to_directions
-from metapp.entries import load_reference
+from metapp.registry import registry
 from metapp.runs import api
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -350,6 +350,6 @@ def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_p
     compared = metapp("compare", *runs, "--json").json_result
     assert all(run["measures"] == {} for run in compared["runs"])
     assert compared["picture"]
-    view = load_reference("metapp.extensions.viewer.pages.brdf:make_brdf_view")
-    assert "residual" not in view(fit.app, fit.parameters, fit.task).arrays
-    assert "samples" in view(fit.app, fit.parameters, fit.task).arrays
+    view = registry().pages["reflectance"].load()(fit)
+    assert "residual" not in view.arrays
+    assert "samples" in view.arrays

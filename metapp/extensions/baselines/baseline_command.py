@@ -85,15 +85,14 @@ def is_size_option(application: Application, option: str) -> bool:
 
 def run_and_print(spec: Spec, options: RunOptions, paths: Sequence[Path], method: str, *, json: bool) -> None:
     """Run a method on inputs, and print a table of its fits, or one JSON object."""
-    from metapp.cli.fit_output import describe_exports
     from metapp.extensions.baselines.baseline_run import run_baseline
 
     baseline_run = run_baseline(spec, options, paths, method)
     if not (options.quiet or json):
         standard_output().print(baseline_run.describe(), soft_wrap=len(baseline_run.fits) == 1)
     if not options.quiet:
-        exports = describe_exports(baseline_run.fits, options.exports)
-        say("\n".join([f"{method} cannot {baseline_run.cannot}", f"fits: {baseline_run.path}", *exports]))
+        lines = [f"{method} cannot {baseline_run.cannot}", f"fits: {baseline_run.path}", *baseline_run.export_lines]
+        say("\n".join(lines))
     if json:
         print_json(
             {

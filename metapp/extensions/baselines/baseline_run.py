@@ -14,7 +14,7 @@ from typing import NamedTuple
 from rich.table import Table
 
 from metapp.appearance.assets import Asset
-from metapp.cli.fit_output import fit_line, fits_table
+from metapp.cli.fit_output import describe_exports, fit_line, fits_table
 from metapp.entries import did_you_mean
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
@@ -38,12 +38,14 @@ class BaselineRun(NamedTuple):
         cannot: what the method cannot do, as words that follow "cannot".
         path: the folder of the predictions.
         fits: the predictions of all inputs, in their order.
+        export_lines: a line for each exported file.
     """
 
     method: str
     cannot: str
     path: Path
     fits: Sequence[Fit]
+    export_lines: Sequence[str]
 
     def describe(self) -> Table | str:
         """Return a table of the fits, or one line if there is a single task."""
@@ -90,7 +92,8 @@ def run_baseline(spec: Spec, options: RunOptions, paths: Sequence[Path], method:
                 _keep(fit, answer.asset(task, size) if answer.asset else None, path, options.exports)
                 fits[number] = fit
                 bar.advance(one.name)
-    return BaselineRun(method, baseline.cannot, path, [fits[number] for number in sorted(fits)])
+    ordered = [fits[number] for number in sorted(fits)]
+    return BaselineRun(method, baseline.cannot, path, ordered, [*describe_exports(ordered, options.exports)])
 
 
 def _keep(fit: Fit, asset: Asset | None, run_folder: Path, exports: Sequence[str]) -> None:
