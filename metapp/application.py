@@ -61,7 +61,7 @@ class Format(Lazy[Any]):
       files, by suffixes and first bytes;
     - `find(path)`: returns a pair of lists: a `data_tools.readers.input_source.Source` for each task, with all that
       must be known before the task is read, and a line for each file of a folder that is skipped. It raises ValueError
-      for a bad path. The caller fills in the fields `format`, `given_path` and `is_named` of a source;
+      for a bad path;
     - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. It may name keyword arguments,
       all with defaults. Fits pass those that it names of the arguments that :class:`ReadObject` lists, and `content`,
       which is the `content` of the source. The command "data NAME" passes its options and `content`;

@@ -8,7 +8,7 @@ The plugins of all extensions are registered. The last one above is an integrato
 that it learns while it renders; see `metapp.extensions.guided.integrator`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
-BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an
+BRDF application (`params.safetensors` in its folder, or `Fit.save`), of any of its networks, or a folder with an
 NBRDF network of six .npy files. The variants are llvm_ad_rgb and cuda_ad_rgb.
 
 Import this module before mitsuba if an old libLLVM is installed beside one that works: mitsuba keeps the one it finds

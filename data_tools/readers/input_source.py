@@ -26,12 +26,9 @@ class Source:
     Attributes:
         name: the name of the task that it is read as.
         path: the file or folder.
-        format: the name of its format in the registry.
         facts: what its reader found out while it looked, by name, such as the number of photos; recipes are chosen by
             them.
         content: what the reader has parsed already and takes back as `read_task(path, content=...)`; None for nothing.
-        given_path: the input, as the user gave it, that it was found in.
-        is_named: whether the user named it, so that it must be good; False for one among others in a folder.
 
     >>> Source("gold", Path("gold.binary")).facts
     {}
@@ -39,11 +36,8 @@ class Source:
 
     name: str
     path: Path
-    format: str = ""
     facts: Facts = field(default_factory=dict)
     content: object = field(default=None, repr=False, compare=False)
-    given_path: Path | None = None
-    is_named: bool = True
 
 
 Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of each skipped file of a folder

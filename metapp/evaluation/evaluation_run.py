@@ -7,7 +7,6 @@ where it is missing, and is kept. The module knows neither what a table shows no
 from __future__ import annotations
 
 import functools
-import statistics
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -22,6 +21,7 @@ from metapp.runs.data_sets.embedded import has_embedded_tests, is_embedded, make
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fit_pictures import tiles_of_methods, write_comparison_sheet
+from metapp.runs.fit_tables import summarise
 from metapp.runs.fitting import Fitter, fit_tasks_of
 from metapp.runs.inputs.finding import DATA_SET_FORMAT, content_of, data_label, find_in_data_set
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS
@@ -290,10 +290,9 @@ class EvaluationRun:
 
 def _summarise(fits: list[Fit]) -> str:
     """Return the words that report a row as soon as it is measured, before the whole table is printed."""
-    errors = [fit.error for fit in fits if fit.error is not None]
-    seconds = [fit.seconds for fit in fits if fit.seconds is not None]
-    figures = [f"mean error {statistics.fmean(errors):.3f}"] if errors else []
-    figures += [f"median {statistics.median(seconds):.4f} s"] if seconds else []
+    totals = summarise(fits)
+    figures = [] if totals["error"] is None else [f"mean error {totals['error']:.3f}"]
+    figures += [] if totals["seconds"] is None else [f"median {totals['seconds']:.4f} s"]
     return ", ".join([*figures, f"{len(fits)} task{'s' * (len(fits) != 1)}"])
 
 

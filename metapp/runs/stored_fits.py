@@ -185,10 +185,10 @@ def provide_tasks(fits: Sequence[Fit], inputs: Sequence[Path] = (), data: Path |
 
 
 def with_options(fit: Fit, options: Mapping[str, object]) -> Fit:
-    """Return a fit that is shown and written by further options of its application, such as another size.
+    """Set further options of a fit by which it is shown and written, such as another size, and return it.
 
     Args:
-        fit: a fit in its folder.
+        fit: a fit in its folder, which is changed.
         options: the options by name, which are set beside those of the fit.
 
     Raises:
