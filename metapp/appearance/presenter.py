@@ -12,6 +12,7 @@ from typing import Generic, TypeVar
 
 from torch import Tensor
 
+from metapp.appearance.assets import Asset
 from metapp.appearance.pictures import PictureComparison, TimedFit, VisibleData
 from metapp.application import Application
 from metapp.learning.app import App
@@ -26,8 +27,8 @@ class Presenter(Generic[PresentedApp]):
     """What people look at of an application's fits; a subclass shows what its application has.
 
     Methods that take `theta` and `task` show one fit: `theta` holds parameters without a task axis. The defaults show
-    nothing, so that an application can do without a presenter of its own, and a subclass defines the methods for what
-    it can show: most often :meth:`preview` and :meth:`pictures`.
+    the asset of a fit beside a true one, if :meth:`reference` knows that, so that an application can do without a
+    presenter of its own.
 
     Attributes:
         app: the network and the sizes of the application, at the recipe of the fits.
@@ -90,9 +91,20 @@ class Presenter(Generic[PresentedApp]):
 
     # Pictures of one fit
 
+    def shown(self, theta: Params, task: Task) -> Asset | None:
+        """Return the asset of a fit as it is shown beside its reference; the default is the one of files."""
+        make = next(iter(self.application.assets.values()), None)
+        return make.load()(self.app, theta, task, None) if make else None
+
+    def reference(self, task: Task) -> Asset | None:
+        """Return the truth as an asset, at the size of :meth:`shown`; None if it is not known."""
+        return None
+
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4]: `fit`, and `reference` or `samples` if the task has them."""
-        return {}
+        shown, reference = self.shown(theta, task), self.reference(task)
+        previews = {} if reference is None else {"reference": reference.preview()}
+        return previews if shown is None else previews | {"fit": shown.preview()}
 
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3] for the row of a fit in the picture of a run, by name.

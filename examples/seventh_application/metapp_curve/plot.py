@@ -51,9 +51,8 @@ def write_csv(asset: Plot, path: Path, provenance: Mapping[str, object]) -> None
 
 
 class CurvePresenter(Presenter[Curve]):
-    """The presenter of curves: a curve and its fit."""
+    """The presenter of curves: a fit beside the curve itself."""
 
     @override
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        fit = make_plot(self.app, theta, task, None).preview()
-        return {"reference": Plot(task.data["y"].float()).preview(), "fit": fit}
+    def reference(self, task: Task) -> Plot:
+        return Plot(task.data["y"].float())

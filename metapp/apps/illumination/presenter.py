@@ -17,7 +17,6 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.radiance import Radiance
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
-from metapp.rendering.second_scene import relighting
 
 LARGEST_MAP_ROWS = 1024  # rows of the file of a map, at most
 
@@ -36,10 +35,22 @@ class IlluminationPresenter(Presenter[Illumination]):
 
     @override
     @torch.no_grad()
+    def shown(self, theta: Params, task: Task) -> Radiance:
+        """Return the map of a fit as it is judged."""
+        seen = self.app.sight.gather(stack_tasks(self.app, [task]))
+        return Radiance(self.app.prediction(add_task_axis(theta), seen)[0])
+
+    @override
+    def reference(self, task: Task) -> Radiance | None:
+        truth = self.app.judge.gather(stack_tasks(self.app, [task]))
+        return None if truth is None else Radiance(truth.map[0])
+
+    @override
+    @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return for fit and reference one picture of the map, the photograph and the second scene, tone-mapped."""
-        photo = task.data["photos"][0] / 255
-        return {name: Radiance(light[0]).draw_overview(photo) for name, light in self._maps(theta, task).items()}
+        photo, maps = task.data["photos"][0] / 255, self._maps(theta, task)
+        return {name: radiance.draw_overview(photo) for name, radiance in maps.items()}
 
     @override
     @torch.no_grad()
@@ -49,8 +60,8 @@ class IlluminationPresenter(Presenter[Illumination]):
         tiles = {} if photo is None else {"photo": srgb_to_linear(photo.permute(1, 2, 0))}
         for name, radiance in self._maps(theta, task).items():
             prefix = "" if name == "fit" else f"{name} "
-            for title, picture in (("map", radiance), ("relit", relighting.relight(radiance))):
-                tiles[f"{prefix}{title}"] = srgb_to_linear(tone_map(picture))[0].permute(1, 2, 0)
+            for title, picture in (("map", tone_map(radiance.map)), ("relit", radiance.relight())):
+                tiles[f"{prefix}{title}"] = srgb_to_linear(picture).permute(1, 2, 0)
         return tiles
 
     @override
@@ -63,15 +74,13 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the second scene under the maps of fit and reference, tone-mapped."""
-        lit = {name: tone_map(relighting.relight(radiance)) for name, radiance in self._maps(theta, task).items()}
-        return PictureComparison(lit["fit"], lit["reference"]) if "reference" in lit else None
+        scenes = {name: radiance.relight()[None] for name, radiance in self._maps(theta, task).items()}
+        return PictureComparison(scenes["fit"], scenes["reference"]) if "reference" in scenes else None
 
-    def _maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return maps [1, 3, H, W] by name: `reference` if it is known, and `fit`."""
-        tasks = stack_tasks(self.app, [task])
-        truth = self.app.judge.gather(tasks)
-        reference = {} if truth is None else {"reference": truth.map}
-        return reference | {"fit": self.app.prediction(add_task_axis(theta), self.app.sight.gather(tasks))}
+    def _maps(self, theta: Params, task: Task) -> dict[str, Radiance]:
+        """Return maps by name: `reference` if it is known, and `fit`."""
+        reference = self.reference(task)
+        return ({} if reference is None else {"reference": reference}) | {"fit": self.shown(theta, task)}
 
     @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:

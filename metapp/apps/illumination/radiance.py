@@ -46,11 +46,15 @@ class Radiance(Asset):
         """
         return replace(self, map=level_maps(self.map[None], math.radians(pitch_degrees))[0])
 
-    @override
     @torch.no_grad()
+    def relight(self) -> Tensor:
+        """Return the second scene under the map, tone-mapped, display values [3, h, w]."""
+        return tone_map(relighting.relight(self.map[None]))[0]
+
+    @override
     def pictures(self) -> dict[str, Picture]:
         """Return the map, at the scale of the input's own file, and the second scene under it."""
-        scene = tone_map(relighting.relight(self.map[None]))[0]
+        scene = self.relight()
         return {
             "map": Picture((self.map * self.unit).permute(1, 2, 0), "radiance"),
             "relit": Picture(scene.permute(1, 2, 0), "srgb"),
@@ -62,18 +66,16 @@ class Radiance(Asset):
         return {"radiance": (self.map * self.unit).permute(1, 2, 0)}
 
     @override
-    @torch.no_grad()
     def preview(self) -> Tensor:
         return self.draw_overview()
 
-    @torch.no_grad()
     def draw_overview(self, photo: Tensor | None = None) -> Tensor:
         """Draw the map above the second scene under it, and maybe a photograph beside that; linear [H, W, 3].
 
         Args:
             photo: the photograph of a ball, display values [3, S, S].
         """
-        scene = tone_map(relighting.relight(self.map[None]))[0]
+        scene = self.relight()
         height, width = scene.shape[1:]
         photo_px = width // 3
         panorama = interpolate(tone_map(self.map[None]), size=(2 * photo_px, 4 * photo_px), mode="nearest")[0]

@@ -20,7 +20,7 @@ from metapp.appearance.surface import map_pictures
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, judged_log_radiance
-from metapp.apps.svbrdf_nonstationary.maps import pool_maps
+from metapp.apps.svbrdf_nonstationary.maps import pool_maps, scale_size
 from metapp.apps.svbrdf_nonstationary.material_surface import resize_photo, surface_at
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
@@ -40,21 +40,36 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         return "" if is_possible else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
 
     @override
+    def shown(self, theta: Params, task: Task) -> Surface:
+        """Return the maps of a fit, with a shorter side of at most SHOWN_PX."""
+        surface: Surface = self.options.adapt_asset(surface_at(self.app, theta, task, self._shown_side(task)))
+        return surface
+
+    @override
+    def reference(self, task: Task) -> Surface | None:
+        if "maps" not in task.data:
+            return None
+        size = scale_size(task.data["photo"], self._shown_side(task))
+        return Surface(unpack_maps(pool_maps(task.data["maps"].float(), size)), tiles=False)
+
+    @override
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return four maps above pictures of them under the flash and three other lights, beside the true ones."""
-        surface, reference = self._shown_surfaces(theta, task)
-        previews = {} if reference is None else {"reference": draw_sheet(reference)}
-        return previews | {"fit": draw_sheet(self.options.adapt_asset(surface))}
+        surfaces = {"reference": self.reference(task), "fit": self.shown(theta, task)}
+        return {name: draw_sheet(surface) for name, surface in surfaces.items() if surface is not None}
 
     @override
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph, the fit under its flash, maps, and the fit under three other lights."""
-        comparison, (surface, reference) = self.photo_comparison(theta, task), self._shown_surfaces(theta, task)
+        comparison, reference = self.photo_comparison(theta, task), self.reference(task)
         photo = resize_photo(task, self._shown_side(task))[0].permute(1, 2, 0)
-        fit = surface.preview() if comparison is None else srgb_to_linear(comparison.pictures[0]).permute(1, 2, 0)
-        tiles = {"photo": photo, "fit": fit, **_draw_linear_maps(self.options.adapt_asset(surface))}
+        if comparison is None:
+            fit = surface_at(self.app, theta, task, self._shown_side(task)).preview()
+        else:
+            fit = srgb_to_linear(comparison.pictures[0]).permute(1, 2, 0)
+        tiles = {"photo": photo, "fit": fit, **_draw_linear_maps(self.shown(theta, task))}
         if reference is not None:
             tiles |= {f"reference {name}": picture for name, picture in _draw_linear_maps(reference).items()}
         return tiles
@@ -101,13 +116,6 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         """Return the shorter side of maps and photographs that are shown, in px."""
         height, width = task.data["photo"].shape[-2:]
         return min(SHOWN_PX, height, width)
-
-    def _shown_surfaces(self, theta: Params, task: Task) -> tuple[Surface, Surface | None]:
-        """Return the fit, and the true maps if they are known, with a shorter side of at most SHOWN_PX."""
-        surface = surface_at(self.app, theta, task, self._shown_side(task))
-        if "maps" not in task.data:
-            return surface, None
-        return surface, Surface(unpack_maps(pool_maps(task.data["maps"].float(), surface.size)), tiles=False)
 
 
 def _draw_linear_maps(surface: Surface) -> dict[str, Tensor]:
