@@ -51,7 +51,10 @@ def app_at_size(name: str, side: int) -> App:
         app = replace(app, decoder=replace(app.decoder, network=field))
     else:
         # all octaves take part from the first step on, as in the last steps of a fit
-        app = replace(app, octaves=replace(app.octaves, height=side, width=side, shares=()))
+        octaves = replace(app.decoder.octaves, height=side, width=side, shares=())
+        statistics = replace(app.judge, octaves=octaves)
+        decoder, sight = replace(app.decoder, octaves=octaves), replace(app.sight, statistics=statistics)
+        app = replace(app, decoder=decoder, sight=sight, judge=statistics)
     result: App = app
     return result
 

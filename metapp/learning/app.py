@@ -1,7 +1,7 @@
 """The contract of an application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
 Learning needs these methods and nothing else, so that an application runs in a notebook without the command line.
-Most applications fulfil the contract by components, see :mod:`metapp.learning.composed`.
+Applications fulfil the contract by components, see :mod:`metapp.learning.composed`.
 What people look at, such as pictures and surfaces, is made elsewhere, by `metapp.appearance.presenter.Presenter`.
 """
 

@@ -29,6 +29,12 @@ Seen = TypeVar("Seen")
 Truth = TypeVar("Truth")
 
 
+def name_tensors(tensors: Any) -> Batch:
+    """Return tensors by name: the fields of a named tuple, or a dictionary, for components whose number varies."""
+    batch: Batch = tensors if isinstance(tensors, dict) else tensors._asdict()
+    return batch
+
+
 class Decoder(ABC, Generic[Answer, Seen]):
     """The meaning of the parameters of a fit: a function from parameters to an answer, such as maps of a material."""
 
@@ -74,6 +80,9 @@ class Decoder(ABC, Generic[Answer, Seen]):
 class Sight(ABC, Generic[Answer, Seen]):
     """The observations of a task that a fit sees, and the loss of an answer by them.
 
+    What is seen is a named tuple of tensors. A sight of a varying number of tensors shows a dictionary of them, and
+    overrides :meth:`gather` and :meth:`read`.
+
     Attributes:
         observes: what fits see, a value of --observe; "" if all fits of the application see the same.
         seen_type: the named tuple that :meth:`prepare` returns.
@@ -106,6 +115,10 @@ class Sight(ABC, Generic[Answer, Seen]):
         seen_type = self.seen_type_of(tasks.data)
         seen: Seen = seen_type(**tasks.gather(seen_type._fields))
         return seen
+
+    def coarsen(self, tasks: Tasks, done: float) -> Tasks:
+        """Return the tasks as a descent sees them at some share of its steps, see :meth:`App.coarsen`."""
+        return tasks
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Seen:
         """Draw what one step sees of each task, [T, ...]. The default is all that fits see, whatever the count."""
@@ -158,6 +171,9 @@ class Sight(ABC, Generic[Answer, Seen]):
 class Judge(ABC, Generic[Answer, Seen, Truth]):
     """The truth that fits do not see: errors of fits and of baselines, and the outer loss by which training learns.
 
+    The truth is a named tuple of tensors. A judge of tensors that are optional one by one takes a dictionary of them,
+    and overrides :meth:`gather` and :meth:`read`.
+
     Attributes:
         truth_type: the named tuple that :meth:`prepare` returns.
         sampled_type: the named tuple that :meth:`sample` returns.
@@ -200,6 +216,10 @@ class Judge(ABC, Generic[Answer, Seen, Truth]):
             ValueError: not all tasks have the truth.
         """
         return self.require(tasks)
+
+    def read(self, batch: Batch) -> Any:
+        """Return what :meth:`sample` drew, given the tensors [T, ...] of a batch by name."""
+        return self.sampled_type(*(batch[name] for name in self.sampled_type._fields))
 
     def query(self, prediction: Any, truth: Truth) -> Any:
         """Return what is judged of completed answers: themselves, or values of functions where the truth is known."""
@@ -304,9 +324,9 @@ class ComposedApp(App):
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Prepare what a fit sees and, if the task has one, the truth, by the names of their fields."""
-        seen: dict[str, Tensor] = self.sight.prepare(task, self.decoder)._asdict()
+        seen = name_tensors(self.sight.prepare(task, self.decoder))
         truth = self.judge.prepare(task, self.decoder)
-        return seen if truth is None else seen | truth._asdict()
+        return seen if truth is None else seen | name_tensors(truth)
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
@@ -322,9 +342,12 @@ class ComposedApp(App):
         return self.sight.task_parameter_specs
 
     @override
+    def coarsen(self, tasks: Tasks, done: float) -> Tasks:
+        return self.sight.coarsen(tasks, done)
+
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        batch: Batch = self.sight.sample(tasks, rng, count)._asdict()
-        return batch
+        return name_tensors(self.sight.sample(tasks, rng, count))
 
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
@@ -347,7 +370,7 @@ class ComposedApp(App):
     @override
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw what the judge compares. Unless the judge trains by the sight, draw what a step of a fit sees, too."""
-        drawn: Batch = self.judge.sample(tasks, rng, count)._asdict()
+        drawn = name_tensors(self.judge.sample(tasks, rng, count))
         return drawn if self.judge.trains_by_sight else self.sample(tasks, rng, count) | drawn
 
     @override
@@ -355,7 +378,7 @@ class ComposedApp(App):
         if self.judge.trains_by_sight:
             return self.loss(theta, batch, loss_parameters)
         seen = self.sight.read(batch)
-        truth = self.judge.sampled_type(*(batch[name] for name in self.judge.sampled_type._fields))
+        truth = self.judge.read(batch)
         return self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, truth)
 
     @override

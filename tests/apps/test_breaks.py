@@ -1,6 +1,7 @@
 """Whether rows of relief that break at a cut are told from rows that go on: drawn stitches, in step and out of step."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,7 +12,7 @@ from metapp.appearance.doubts import BROKEN_ROWS
 from metapp.appearance.height_fields import normal_from_height
 from metapp.apps.exemplar.breaks import break_strength
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
+from metapp.apps.svbrdf_stationary.app import compose_svbrdf
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.networks.generators import Pyramid
@@ -76,7 +77,8 @@ def test_relief_without_rows_does_not_break() -> None:
 
 def test_a_fit_has_a_line_on_rows_only_where_they_break() -> None:
     octaves = Octaves(SIDE, SIDE, ("relu1_1", "relu2_1"), count=1, shares=())
-    app = QuiltedSvbrdf(Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3), octaves, candidates=0)
+    app = compose_svbrdf(Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3), octaves, 1, expects_gloss=True)
+    app = replace(app, sight=replace(app.sight, candidates=0))
     picture = (0.4 + 0.075 * stitches(0.1)).expand(3, -1, -1)
     tasks = stack_tasks(app, [Task("knit", {"image": (picture.clamp(0, 1) * 255).to(torch.uint8)})])
     theta = app.init(Generator().manual_seed(0), 1)

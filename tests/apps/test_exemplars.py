@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,13 +12,15 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.doubts import LOST_ORDER
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
-from metapp.apps.exemplar.app import ExemplarApp, move_tiles
+from metapp.apps.exemplar.exemplar_codec import move_tiles
+from metapp.apps.exemplar.exemplar_sight import ExemplarSight
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import ExemplarPresenter
-from metapp.apps.svbrdf_stationary.quilted import SOFTNESS_WEIGHT, QuiltedSvbrdf
+from metapp.apps.exemplar.recipes import CANDIDATES
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary, compose_svbrdf
+from metapp.apps.svbrdf_stationary.flash_statistics import SOFTNESS_WEIGHT
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
-from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
@@ -31,19 +33,19 @@ TAPS = ("relu1_1", "relu2_1", "relu3_1")
 SHARE = 0.6  # of the steps at half the size
 
 
-def tiny(name: str) -> Recipe:
-    """Return the recipe full with a small network, of two octaves."""
-    full, side = recipes_of(name)["full"], 64
-    network = Pyramid(4, 3, code=8, outputs=full.app.network.outputs, quilt=3)
-    return replace(full, app=type(full.app)(network, Octaves(side, side, TAPS, count=2, shares=(SHARE,))))
-
-
 @pytest.fixture(scope="module")
-def app() -> ExemplarApp:
-    return tiny("svbrdf_stationary").app  # type: ignore[return-value]
+def app() -> SvbrdfStationary:
+    """Return the application of the recipe full with a small network, of two octaves."""
+    octaves = Octaves(64, 64, TAPS, count=2, shares=(SHARE,))
+    return compose_svbrdf(Pyramid(4, 3, code=8, outputs=6, quilt=3), octaves, CANDIDATES, expects_gloss=True)
 
 
-def shown(app: App) -> ExemplarPresenter[Any]:
+def draw_noise(app: SvbrdfStationary, rng: Generator, *counts: int, octave: int = 0) -> Tensor:
+    size = app.decoder.octaves.octave_size(octave)
+    return torch.randn(*counts, app.decoder.noise_channels, *size, generator=rng)
+
+
+def shown(app: App) -> ExemplarPresenter:
     presenter = presenter_of(app)
     assert isinstance(presenter, ExemplarPresenter)
     return presenter
@@ -54,7 +56,7 @@ def warnings_of(app: App, theta: Params, tasks: Tasks) -> list[list[str]]:
 
 
 @pytest.fixture(scope="module")
-def tasks(app: ExemplarApp) -> Tasks:
+def tasks(app: SvbrdfStationary) -> Tasks:
     """Exemplars of white noise, the same each time."""
     images = torch.randint(256, (3, 3, 64, 64), generator=Generator().manual_seed(0), dtype=torch.uint8)
     return stack_tasks(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
@@ -69,15 +71,15 @@ def test_recipes_of_the_paper_have_its_settings(name: str, steps: int, tasks: in
     assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
     rng = Generator().manual_seed(0)
     app: Any = recipe.app
-    assert app.draw_noise(rng, 1, 1).shape == (1, 1, 8, *size)
+    assert app.decoder.shown_noise(torch.zeros(1)).shape == (1, 1, 8, *size)
     assert 5e5 < sum(value.numel() for value in app.init(rng, 1).values()) < 5e6
     photos = torch.rand(1, 3, 256, 256, generator=rng)
     rows = (256 - size[0]) // 2
-    assert torch.equal(app.octaves.take_exemplar(photos), photos[:, :, rows : 256 - rows])
+    assert torch.equal(app.decoder.octaves.take_exemplar(photos), photos[:, :, rows : 256 - rows])
 
 
 def test_lost_order_is_doubted_where_networks_read_quilts(
-    app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    app: SvbrdfStationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     at = torch.arange(64)
     tiles = 60 + 130 * ((at[:, None] % 16 < 6) | (at % 16 < 6)).to(torch.uint8).expand(3, -1, -1)
@@ -93,16 +95,18 @@ def test_lost_order_is_doubted_where_networks_read_quilts(
     assert 0 <= float(kept[1]) < LOST_ORDER.limit
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
-    copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
-    monkeypatch.setattr(type(app.statistics), "render_prediction", lambda *_: copies)
+    copies = app.decoder.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
+    monkeypatch.setattr(type(app.judge), "render_prediction", lambda *_: copies)
     assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
     quick = recipes_of(app.name)["quick"].app
     assert warnings_of(quick, {}, both) == [[], []]
 
 
-def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_that_collapsed_are_doubted(
+    app: SvbrdfStationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
     theta = app.init(Generator().manual_seed(0), 3) | app.task_parameters(tasks)
-    shape = (3, 1, 3, *app.octaves.octave_size())
+    shape = (3, 1, 3, *app.decoder.octaves.octave_size())
     varied = torch.rand(shape, generator=Generator().manual_seed(1))
     for result, message in (
         (torch.zeros(shape), "the fit is black, and its input is not"),
@@ -110,14 +114,14 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
         (0.02 * varied, ""),
         (varied, ""),
     ):
-        monkeypatch.setattr(type(app.statistics), "render_prediction", lambda *_, result=result: result)
+        monkeypatch.setattr(type(app.judge), "render_prediction", lambda *_, result=result: result)
         for clauses in warnings_of(app, theta, tasks):
             assert any(clause.startswith("the fit is") for clause in clauses) == bool(message)
             assert any(clause.startswith(message) for clause in clauses) or not message
 
 
 def test_broken_lines_are_doubted_where_no_lattice_is_lost(
-    app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    app: SvbrdfStationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     theta = app.init(Generator().manual_seed(0), 3) | app.task_parameters(tasks)
     found = iter([0.4, 1.0, math.nan])
@@ -132,11 +136,11 @@ def test_broken_lines_are_doubted_where_no_lattice_is_lost(
     assert not any(";" in clause for clause in broken)  # which parts clauses in records
 
 
-def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
-    images = torch.rand(2, 3, *app.octaves.octave_size(), generator=Generator().manual_seed(0))
+def test_fits_see_a_crop_of_the_finest_octave_alone(app: SvbrdfStationary) -> None:
+    images = torch.rand(2, 3, *app.decoder.octaves.octave_size(), generator=Generator().manual_seed(0))
     whole, cropped = (
-        app.statistics.compute_features(images, 0),
-        app.statistics.compute_features(images, 0, lambda features: features[..., : features.shape[-2] // 2, :]),
+        app.judge.compute_features(images, 0),
+        app.judge.compute_features(images, 0, lambda features: features[..., : features.shape[-2] // 2, :]),
     )
     rows = images.shape[-2] // 2
     assert [octave.shape[-2] for octave in cropped] == [*(octave.shape[-2] for octave in whole[:3]), rows, rows // 2]
@@ -144,32 +148,34 @@ def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
         torch.testing.assert_close(first, other)
 
 
-def test_softness_counts_at_the_finest_octave_by_exemplar(app: QuiltedSvbrdf, tasks: Tasks) -> None:
+def test_softness_counts_at_the_finest_octave_by_exemplar(app: SvbrdfStationary, tasks: Tasks) -> None:
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
-    exemplars = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
+    exemplars = app.decoder.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
-    torch.testing.assert_close(app.measure_softness(exemplars[:, None], batch), torch.zeros(3))
+    torch.testing.assert_close(app.judge.measure_softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
     ratio = (detail_statistics(exemplars) + NOISE_DISPLAY_VALUE) / (
         detail_statistics(exemplars) / 2 + NOISE_DISPLAY_VALUE
     )
-    torch.testing.assert_close(app.measure_softness(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2)))
+    torch.testing.assert_close(
+        app.judge.measure_softness(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2))
+    )
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
-    assert (app.measure_softness(mixed, batch) > 0.05).tolist() == [False, True, False]
+    assert (app.judge.measure_softness(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.coarsen(tasks, 0.0), Generator().manual_seed(0), 1)
-    assert app.measure_softness(half[:, None], coarse).tolist() == [0, 0, 0]
+    assert app.judge.measure_softness(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
-def test_coarsened_tasks_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
+def test_coarsened_tasks_leave_out_all_of_the_finest_octave(app: SvbrdfStationary, tasks: Tasks) -> None:
     coarse = app.coarsen(tasks, SHARE - 0.01).data
     assert app.coarsen(tasks, SHARE) is tasks
-    for name in app.statistics.statistic_names:
+    for name in app.judge.statistic_names:
         assert sorted(key for key in coarse if key.startswith(name)) == [f"{name}{i}" for i in range(3)]
         assert sorted(key for key in tasks.data if key.startswith(name)) == [f"{name}{i}" for i in range(5)]
-    assert (app.octaves.find_octave(coarse), app.octaves.find_octave(tasks.data)) == (1, 0)
+    assert (app.decoder.octaves.find_octave(coarse), app.decoder.octaves.find_octave(tasks.data)) == (1, 0)
 
 
-def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Tasks) -> None:
+def test_a_coarse_loss_leaves_the_finest_level_alone(app: SvbrdfStationary, tasks: Tasks) -> None:
     rng = Generator().manual_seed(0)
     theta = {key: value.requires_grad_() for key, value in (app.init(rng, 3) | app.task_parameters(tasks)).items()}
     moved: list[set[str]] = []
@@ -182,16 +188,16 @@ def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Ta
     assert moved[1] - moved[0] == {"join0", "draw0", "out0"}
 
 
-def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None:
+def test_descents_go_from_coarse_to_fine(app: SvbrdfStationary, tasks: Tasks) -> None:
     rng, seen = Generator().manual_seed(0), []
 
-    class Watched(QuiltedSvbrdf):
+    class Watched(ExemplarSight):
         def sample(self, tasks: Tasks, rng: Generator, count: int) -> dict[str, Tensor]:
             batch = super().sample(tasks, rng, count)
             seen.append(batch["noise"].shape[-1])
             return batch
 
-    watched = Watched(**{field.name: getattr(app, field.name) for field in fields(app)})
+    watched = replace(app, sight=Watched(**vars(app.sight)))
     theta, rule = watched.init(rng, 3) | app.task_parameters(tasks), sgd(dict.fromkeys(("rate",), torch.zeros(1)))
     learn(theta, rule, tasks, task_loss(watched, 1), steps=5, rng=rng)
     assert seen == [32, 32, 32, 64, 64]
@@ -210,7 +216,7 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
     silent["quilt"] = torch.full((1, 3, 64, 64), 0.5)
     noise = torch.randn(1, 1, 8, 64, 64, generator=rng)
     small = avg_pool2d(noise[0], 2)[None] * 2
-    height, low = app.generate_maps(silent, noise)[1], app.generate_maps(silent, small, 1)[1]
+    height, low = app.decoder.generate(silent, noise).height, app.decoder.generate(silent, small, 1).height
     expected = 2 * enlarge_periodic(low[0])
     # slow changes, which are removed, are found a little differently in fewer texels
     assert float((height[0] - expected).square().mean().sqrt()) < 0.05 * float(expected.square().mean().sqrt())
@@ -220,7 +226,7 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def pavement(app: ExemplarApp) -> Tasks:
+def pavement(app: SvbrdfStationary) -> Tasks:
     """A pavement of stones of two colours, and one of noise."""
     at = torch.arange(64)
     stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1)
@@ -229,22 +235,23 @@ def pavement(app: ExemplarApp) -> Tasks:
     return stack_tasks(app, [Task(name, {"image": image}) for name, image in images.items()])
 
 
-def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: ExemplarApp, pavement: Tasks) -> None:
+def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: SvbrdfStationary, pavement: Tasks) -> None:
     quilt, places = pavement.data["quilt"], pavement.data["places"]
     assert (quilt.shape, places.shape) == ((2, 3, 64, 64), (2, 2, 64, 64))
     assert quilt[0].std() > 0.1
     rng = Generator().manual_seed(0)
-    theta = fit_tasks(make_method("overfit", app, tiny(app.name), MetaParameters(), steps=2), pavement, rng)
+    recipe = replace(recipes_of(app.name)["full"], app=app)
+    theta = fit_tasks(make_method("overfit", app, recipe, MetaParameters(), steps=2), pavement, rng)
     encoded = app.encode(app.init_encoder(rng), app.encoder_input(pavement, rng))
     for parameters in (theta, encoded):
         assert torch.equal(parameters["quilt"], quilt)
         assert torch.equal(parameters["places"], places)
 
 
-def test_tiles_move_with_noise_and_shrink_to_octaves(app: ExemplarApp, pavement: Tasks) -> None:
+def test_tiles_move_with_noise_and_shrink_to_octaves(app: SvbrdfStationary, pavement: Tasks) -> None:
     rng, quilt = Generator().manual_seed(0), pavement.data["quilt"]
     for octave in (0, 1):
-        moved = move_tiles(quilt, app.draw_noise(rng, 2, 2, octave=octave))
+        moved = move_tiles(quilt, draw_noise(app, rng, 2, 2, octave=octave))
         small = avg_pool2d(quilt, 2**octave)
         side = small.shape[-1]
         assert moved.shape == (2, 2, 3, side, side)
@@ -253,12 +260,12 @@ def test_tiles_move_with_noise_and_shrink_to_octaves(app: ExemplarApp, pavement:
         assert any(torch.equal(roll, moved[0, 1]) for roll in rolls)
 
 
-def test_coarsened_tasks_train_by_quilts_of_augmented_exemplars(app: ExemplarApp, pavement: Tasks) -> None:
+def test_coarsened_tasks_train_by_quilts_of_augmented_exemplars(app: SvbrdfStationary, pavement: Tasks) -> None:
     rng = Generator().manual_seed(0)
     for done in (0.0, 0.9):
         variants = app.augment(app.coarsen(pavement, done), rng)
         theta = app.encode(app.init_encoder(rng), app.encoder_input(variants, rng))
-        assert app.outer_loss(theta, app.sample(variants, rng, 1), {}).isfinite().all()
+        assert app.outer_loss(theta, app.outer_sample(variants, rng, 1), {}).isfinite().all()
 
 
 def test_networks_read_quilts_without_mean_and_of_one_contrast(pavement: Tasks) -> None:
@@ -268,13 +275,13 @@ def test_networks_read_quilts_without_mean_and_of_one_contrast(pavement: Tasks) 
     torch.testing.assert_close(normalise_quilts(0.3 + 0.5 * quilts), normalised)
 
 
-def test_generated_pictures_follow_their_quilt(app: ExemplarApp, pavement: Tasks) -> None:
+def test_generated_pictures_follow_their_quilt(app: SvbrdfStationary, pavement: Tasks) -> None:
     """The network reads it, and the loss counts how far pictures are from it."""
     rng = Generator().manual_seed(0)
-    noise = app.draw_noise(rng, 2, 1)
+    noise = draw_noise(app, rng, 2, 1)
     theta = app.init(rng, 2) | app.task_parameters(pavement)
     other = theta | {"quilt": theta["quilt"].flip(0)}
-    assert not torch.equal(*(app.generate(fit, noise).roughness for fit in (theta, other)))
+    assert not torch.equal(*(app.decoder.generate(fit, noise).prediction.roughness for fit in (theta, other)))
     quilts = move_tiles(theta["quilt"], noise)
     assert quilt_deviation(quilts, quilts).abs().max() == 0
     assert quilt_deviation(torch.full_like(quilts, 0.5), quilts)[0] > 0.05

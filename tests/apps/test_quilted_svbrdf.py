@@ -10,26 +10,25 @@ from metapp.appearance.flash import camera_position, render_maps, texel_position
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.lattice import even_out_contrast
 from metapp.appearance.svbrdf_maps import Maps, pack_maps, unpack_maps
-from metapp.apps.exemplar.app import PictureChanges, turn_picture
+from metapp.apps.exemplar.exemplar_statistics import turn_picture
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.svbrdf_stationary.quilted import (
-    QuiltedSvbrdf,
-    fit_local_lines,
-    refine_relief,
-    remove_slow_changes,
-    turn_maps,
-)
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary, compose_svbrdf
+from metapp.apps.svbrdf_stationary.flash_statistics import fit_local_lines
+from metapp.apps.svbrdf_stationary.material_codec import refine_relief, remove_slow_changes
+from metapp.apps.svbrdf_stationary.true_maps import turn_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import fetch_pieces
 from tests.recipe_apps import asset_of, presenter_of, recipes_of
 
-APP = QuiltedSvbrdf(
+APP = compose_svbrdf(
     Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3),
     Octaves(64, 64, ("relu1_1", "relu2_1"), count=2),
     candidates=1,
+    expects_gloss=True,
 )
+CELLS = (64, 64)
 SILENT_LEVELS = ("out0", "out1", "out2")
 
 
@@ -70,7 +69,7 @@ def silent_fit(tasks: Tasks) -> Params:
 
 def test_diffuse_colour_is_the_quilt_where_the_network_adds_nothing(tasks: Tasks) -> None:
     theta = silent_fit(tasks)
-    maps = APP.generate(theta, torch.full((1, 1, 2, 64, 64), -9.0))
+    maps = APP.decoder.generate(theta, torch.full((1, 1, 2, 64, 64), -9.0)).prediction
     display = maps.diffuse[0, 0] ** (1 / 2.2)
     torch.testing.assert_close(display, theta["quilt"][0].clamp(0.02, 0.98), atol=1e-4, rtol=0)
     assert float(maps.normal[:, :, 2].min()) == pytest.approx(1)
@@ -80,8 +79,8 @@ def test_files_have_the_resolution_of_the_photograph_and_tile(task: Task, tasks:
     theta = silent_fit(tasks)
     maps, height = APP.draw_maps(theta, task, None)
     assert (maps.diffuse.shape, height.shape) == ((3, 128, 128), (1, 128, 128))
-    photo = APP.take_even_photo(task.data["image"])
-    pieces = fetch_pieces(photo, theta["places"][0], (128, 128), APP.cells).clamp(0.02, 0.98)
+    photo = APP.judge.take_even_photo(task.data["image"])
+    pieces = fetch_pieces(photo, theta["places"][0], (128, 128), CELLS).clamp(0.02, 0.98)
     torch.testing.assert_close(maps.diffuse ** (1 / 2.2), pieces, atol=1e-4, rtol=0)
     # shrunk to the size of fits, it is the quilt in the fit
     shades = torch.stack([avg_pool2d(pieces, 2).flatten(), theta["quilt"][0].flatten()])
@@ -89,7 +88,7 @@ def test_files_have_the_resolution_of_the_photograph_and_tile(task: Task, tasks:
 
 
 def test_even_photographs_have_lost_the_light_of_the_flash(task: Task) -> None:
-    photo, even = task.data["image"].float() / 255, APP.take_even_photo(task.data["image"])
+    photo, even = task.data["image"].float() / 255, APP.judge.take_even_photo(task.data["image"])
     for picture, low, high in ((photo, 1.15, 9.0), (even, 0.95, 1.05)):
         means = interpolate(picture[None], size=(4, 4), mode="area")[0].mean(0)
         assert low < float(means[1:3, 1:3].mean() / means[0].mean()) < high
@@ -128,7 +127,7 @@ def test_highlights_alone_are_avoided() -> None:
     for roughness, is_glossy in ((0.3, True), (0.9, False)):
         maps = Maps(0.2 * ones.expand(3, -1, -1), 0.08 * ones * is_glossy, roughness * ones, flat)
         photos = photograph(maps)[None].float() / 255
-        (avoided,) = APP.statistics.find_unusable(photos, {"light": APP.statistics.find_light(photos)})
+        (avoided,) = APP.judge.find_unusable(photos, {"light": APP.judge.find_light(photos)})
         assert avoided is not None
         assert bool(avoided[32, 32]) is is_glossy
         assert float(avoided.float().mean()) < (0.26 if is_glossy else 0.001)
@@ -202,7 +201,7 @@ def test_true_maps_are_compared_at_the_places_of_the_quilt(tasks: Tasks) -> None
     batch = APP.outer_sample(tasks, rng, 1)
     true_maps = unpack_maps(batch["maps"][0])
     places = theta["places"][0]
-    expected = fetch_pieces(tasks.data["maps"][0], places, (64, 64), APP.cells)
+    expected = fetch_pieces(tasks.data["maps"][0], places, (64, 64), CELLS)
     torch.testing.assert_close(batch["maps"][0], expected)
     assert (true_maps.normal.norm(dim=0) - 1).abs().mean() < 0.1
     other = batch | {"maps": batch["maps"].roll(3, -1)}
@@ -226,13 +225,16 @@ def test_augmented_tasks_have_quilts_and_maps_of_their_own(tasks: Tasks) -> None
     variant = APP.augment(tasks, Generator().manual_seed(3))
     assert variant.data["maps"].shape == tasks.data["maps"].shape
     assert not torch.equal(variant.data["quilt"], tasks.data["quilt"])
-    changes = PictureChanges(torch.tensor([True]), torch.tensor([False]), torch.tensor([[0, 1, 2]]))
-    flipped = APP.change_data(tasks, changes)["maps"]
+    changes = torch.tensor([True]), torch.tensor([False]), torch.tensor([[0, 1, 2]])
+    flipped = APP.judge.vary_truth(tasks, *changes)["maps"]
     torch.testing.assert_close(flipped[0, 3:], tasks.data["maps"][0, 3:].flip(-1))
 
 
 def test_shipped_recipe_reads_quilts_without_noise() -> None:
     app = recipes_of("svbrdf_stationary")["full"].app
-    assert isinstance(app, QuiltedSvbrdf)
-    assert (app.network.noise, app.network.quilt, app.cells) == (0, 3, (256, 256))
-    assert app.draw_noise(Generator().manual_seed(0), 1, 1).shape == (1, 1, 2, 256, 256)
+    assert isinstance(app, SvbrdfStationary)
+    decoder = app.decoder
+    assert (decoder.network.noise, decoder.network.quilt, decoder.octaves.octave_size()) == (0, 3, (256, 256))
+    assert decoder.reads_quilts
+    assert app.sight.candidates == 12
+    assert decoder.shown_noise(torch.zeros(1)).shape == (1, 1, 2, 256, 256)

@@ -17,7 +17,7 @@ from metapp.appearance.lattice import find_lattice, kept_order_share, remove_qua
 from metapp.appearance.lines import compare_lines
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import ResizedTile, lost_order, make_piece_source, quilt_places
-from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.apps.texture.app import compose_texture
 from metapp.extensions.baselines.texture import baselines
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
@@ -27,7 +27,8 @@ from metapp.paradigms.methods import fit_tasks, make_method
 from tests.recipe_apps import asset_of, presenter_of, recipes_of
 
 ROOT = Path(__file__).parent.parent.parent / "metapp"
-APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
+APP = compose_texture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
+CELLS = (64, 64)
 
 
 def pavement(side: int) -> Tensor:
@@ -60,7 +61,7 @@ def theta(tasks: Tasks) -> Params:
 
 def test_fits_begin_with_the_error_of_the_quilt_and_lower_it(tasks: Tasks, theta: Params) -> None:
     first = APP.init(Generator().manual_seed(0), 1) | APP.task_parameters(tasks)
-    quilt = APP.statistics.errors(first["quilt"][:, None].clamp(0, 1), tasks)["error"]
+    quilt = APP.errors_of(first["quilt"][:, None].clamp(0, 1), tasks)["error"]
     begun, ended = (float(APP.errors(parameters, tasks)["error"]) for parameters in (first, theta))
     assert begun == pytest.approx(float(quilt), rel=0.3)  # of pictures that are moved, whose borders differ
     assert ended < 0.95 * begun
@@ -69,15 +70,15 @@ def test_fits_begin_with_the_error_of_the_quilt_and_lower_it(tasks: Tasks, theta
 def test_no_step_changes_the_quilt(tasks: Tasks, theta: Params) -> None:
     for name, value in APP.task_parameters(tasks).items():
         assert torch.equal(theta[name], value)
-    change = (APP.network(theta, theta["quilt"]) - theta["quilt"].clamp(0, 1)).square().mean().sqrt()
+    change = (APP.decoder.network(theta, theta["quilt"]) - theta["quilt"].clamp(0, 1)).square().mean().sqrt()
     assert 0.001 < float(change) < 0.04
 
 
 def test_pieces_are_copies_of_the_exemplar_and_tile(task: Task, tasks: Tasks) -> None:
     """All values of a quilt stand in the exemplar, and edges of the tile continue at the opposite ones."""
-    even = remove_quadratic_trend(APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0])
-    source = make_piece_source(even, APP.cells, stretches=False)
-    places = quilt_places(source, APP.cells, (16, 5), np.random.default_rng(4))
+    even = remove_quadratic_trend(APP.decoder.octaves.take_exemplar(task.data["image"][None].float() / 255)[0])
+    source = make_piece_source(even, CELLS, stretches=False)
+    places = quilt_places(source, CELLS, (16, 5), np.random.default_rng(4))
     rows, columns = ((places * 64 - 0.5).round().long()).unbind()
     assert 0 <= int(min(rows.min(), columns.min())) <= int(max(rows.max(), columns.max())) < 64
     picture = even[:, rows, columns]
@@ -87,21 +88,21 @@ def test_pieces_are_copies_of_the_exemplar_and_tile(task: Task, tasks: Tasks) ->
 
 def test_the_best_candidate_is_taken(task: Task) -> None:
     """Of four quilts the chosen one has the least error at half the size, with the penalty on lost order."""
-    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)
+    exemplar = APP.decoder.octaves.take_exemplar(task.data["image"][None].float() / 255)
     lattice = find_lattice(remove_quadratic_trend(exemplar[0]))
-    small_targets = APP.statistics.describe(avg_pool2d(exemplar, 2), 1)
+    small_targets = APP.judge.describe(avg_pool2d(exemplar, 2), 1)
     errors = []
     for candidates in (1, 4):
-        quilts = replace(APP, candidates=candidates).make_targets(exemplar)["quilt"]
-        distance = APP.statistics.gram_distance(avg_pool2d(quilts, 2)[:, None], small_targets)
+        quilts = APP.sight.describe(exemplar, candidates)["quilt"]
+        distance = APP.judge.gram_distance(avg_pool2d(quilts, 2)[:, None], small_targets)
         errors.append(float(distance) + 0.3 * lost_order(lattice, quilts[0], 0.9))
     assert errors[1] <= errors[0]
 
 
 def test_order_is_kept(task: Task, theta: Params) -> None:
-    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
+    exemplar = APP.decoder.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
     lattice = find_lattice(remove_quadratic_trend(exemplar))
-    assert kept_order_share(lattice, APP.network(theta, theta["quilt"])[0]) > 0.8
+    assert kept_order_share(lattice, APP.decoder.network(theta, theta["quilt"])[0]) > 0.8
 
 
 @pytest.mark.parametrize("candidate", [0, 1, 2])
@@ -119,7 +120,7 @@ def test_files_have_the_resolution_of_the_photograph(task: Task, theta: Params) 
     tile = APP.draw_tile(batch, task, None)
     assert tile.shape == (3, 192, 192)
     small = avg_pool2d(tile[None], 3)[0]
-    fitted = APP.network(theta, theta["quilt"])[0]
+    fitted = APP.decoder.network(theta, theta["quilt"])[0]
     assert float((small - fitted).abs().mean()) < 0.03
     detail = [float(picture.diff(dim=2).abs().mean()) for picture in (tile, task.data["image"].float() / 255)]
     assert 0.85 < detail[0] / detail[1] < 1.15  # as sharp as the photograph
@@ -166,7 +167,7 @@ def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monke
 def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: Params) -> None:
     """Of blocks at random and of a large piece that comes back; a fit, and a photo that repeats itself, say nothing."""
     presenter = presenter_of(APP)
-    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
+    exemplar = APP.decoder.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
     ordered, unordered = exemplar, torch.rand(3, 64, 64, generator=Generator().manual_seed(0))
     own = torch.stack(torch.meshgrid(*2 * [(torch.arange(64) + 0.5) / 64], indexing="ij"))
     blocks, twice, rng = own.clone(), own.clone(), Generator().manual_seed(1)
@@ -178,7 +179,7 @@ def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: 
     def say(picture: Tensor, places: Tensor) -> list[str]:
         return presenter._find_visible_pieces(picture, fetch_pieces(picture, places, (64, 64), (64, 64)), places)
 
-    fitted = APP.network(theta, theta["quilt"])[0]
+    fitted = APP.decoder.network(theta, theta["quilt"])[0]
     assert presenter._find_visible_pieces(exemplar, fitted, theta["places"][0]) == []
     assert presenter.quality_warnings(theta, tasks) == [[]]
     (cuts,) = say(ordered, blocks)
@@ -191,8 +192,10 @@ def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: 
 
 
 def test_methods_without_quilts_make_none(task: Task) -> None:
-    assert not {"places", "quilt"} & stack_tasks(replace(APP, candidates=0), [task]).data.keys()
-    assert all(baseline.app.candidates == 0 for baseline in baselines(APP))
+    methods = baselines(APP)
+    assert len(methods) == 3
+    for baseline in methods:
+        assert not {"places", "quilt"} & stack_tasks(baseline.app, [task]).data.keys()
 
 
 def test_lines_of_torn_pictures_are_weak_and_those_of_fits_are_not(task: Task) -> None:

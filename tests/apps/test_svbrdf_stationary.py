@@ -1,5 +1,8 @@
 """Stationary svBRDFs: windows, maps, the light of a photo, and that a highlight stays out of the maps."""
 
+from dataclasses import replace
+from typing import Any
+
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -8,17 +11,13 @@ from metapp.appearance.colour import DISPLAY_GAMMA, radiance_to_display, srgb_to
 from metapp.appearance.flash import camera_position, relighting_positions, render_maps, texel_positions
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import Maps, map_statistics
-from metapp.apps.exemplar.app import FILE_SIDE_TIMES, PictureChanges
+from metapp.apps.exemplar.exemplar_codec import FILE_SIDE_TIMES
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.svbrdf_stationary.app import (
-    GLOSS_WEIGHT,
-    ROUGHNESS_WEIGHT,
-    TRUTH_WEIGHT,
-    SvbrdfStationary,
-)
-from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF, FlashStatistics, encode_gloss
-from metapp.apps.svbrdf_stationary.gloss_prior import SvbrdfNearPrior
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary, compose_svbrdf
+from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF, GLOSS_PRIOR_WEIGHT, FlashStatistics
+from metapp.apps.svbrdf_stationary.material_codec import encode_gloss
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, QUICK
+from metapp.apps.svbrdf_stationary.true_maps import GLOSS_WEIGHT, ROUGHNESS_WEIGHT, TRUTH_WEIGHT
 from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE, grams_in_windows
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
@@ -29,13 +28,17 @@ from metapp.networks.generators import UNet
 from tests.recipe_apps import asset_of, presenter_of
 
 SIZE = 32
-TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
-KEPT = SvbrdfNearPrior(TINY.network, TINY.octaves, prior=2.0)
+TINY = compose_svbrdf(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
+KEPT = compose_svbrdf(TINY.decoder.network, TINY.decoder.octaves, expects_gloss=True)
 WINDOWS = range(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE)
 
 
 def seeded(seed: int = 0) -> Generator:
     return Generator().manual_seed(seed)
+
+
+def draw_noise(*counts: int) -> Tensor:
+    return torch.randn(*counts, TINY.decoder.noise_channels, SIZE, SIZE, generator=seeded())
 
 
 def glossy(seed: int, size: int = SIZE) -> Maps:
@@ -67,6 +70,11 @@ def sources() -> list[Task]:
 @pytest.fixture(scope="module")
 def tasks(sources: list[Task]) -> Tasks:
     return stack_tasks(TINY, sources)
+
+
+def with_statistics(statistics: FlashStatistics) -> SvbrdfStationary:
+    """Return TINY with other statistics, which it sees and judges by."""
+    return replace(TINY, sight=replace(TINY.sight, statistics=statistics), judge=statistics)
 
 
 def flat(app: SvbrdfStationary, *raw: float, count: int = 1) -> Params:
@@ -112,12 +120,7 @@ def test_a_photo_is_at_no_distance_from_itself(sources: list[Task], tasks: Tasks
             def photograph(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
                 return pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
 
-        class Shown(SvbrdfStationary):
-            @property
-            def statistics(self) -> FlashStatistics:
-                return ShownStatistics(self.octaves)
-
-        return Shown(**vars(TINY))
+        return with_statistics(ShownStatistics(TINY.decoder.octaves))
 
     app = showing(photos)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
@@ -150,12 +153,7 @@ def test_light_position_is_found_from_the_highlight(sources: list[Task], tasks: 
             used.append((light, view))
             return FlashStatistics.photograph(maps, light, view)
 
-    class Noted(SvbrdfStationary):
-        @property
-        def statistics(self) -> FlashStatistics:
-            return NotedStatistics(self.octaves)
-
-    app = Noted(**vars(TINY))
+    app = with_statistics(NotedStatistics(TINY.decoder.octaves))
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
@@ -172,7 +170,7 @@ def test_light_position_is_found_from_the_highlight(sources: list[Task], tasks: 
 def test_maps_stay_in_their_ranges(scale: float) -> None:
     app, theta = TINY, TINY.init(seeded(), 2)
     theta["out.kernel"] = scale * theta["out.kernel"]
-    maps, height = app.generate_maps(theta, app.draw_noise(seeded(), 2, 3))
+    maps, height, *_ = app.decoder.generate(theta, draw_noise(2, 3))
     leading = (2, 3)
     assert [tuple(picture.shape) for picture in (*maps, height)] == [
         (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
@@ -182,7 +180,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
     assert 0.1 <= maps.roughness.min() <= maps.roughness.max() <= 1
     torch.testing.assert_close(maps.normal.norm(dim=2), torch.ones(*leading, SIZE, SIZE))
     assert (maps.normal[:, :, 2] > 0).all()
-    picture = app.statistics.photograph(maps, camera_position(), camera_position())
+    picture = app.judge.photograph(maps, camera_position(), camera_position())
     assert picture.isfinite().all()
     assert 0 <= picture.min() <= picture.max() <= 1
     if scale == 0:
@@ -219,7 +217,7 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
         normal,
     )
     for name, (light, view) in relighting_positions().items():
-        shown = app.statistics.photograph(maps, light, view).permute(1, 2, 0)
+        shown = app.judge.photograph(maps, light, view).permute(1, 2, 0)
         torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
     # maps tile, also normals, which look at their neighbours
     for name in names:
@@ -273,11 +271,11 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
-    (maps, _), place = app.generate_maps(theta, app.draw_noise(seeded(), 1, 1)), camera_position()
+    maps, place = app.decoder.generate(theta, draw_noise(1, 1)).prediction, camera_position()
     whole = Maps(*(part[0] for part in maps))
 
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
-        return (255 * app.statistics.photograph(whole, light, view)[0]).round().to(torch.uint8)
+        return (255 * app.judge.photograph(whole, light, view)[0]).round().to(torch.uint8)
 
     image = as_bytes(place, place)
     relit = torch.stack([as_bytes(light, view) for light, view in relighting_positions().values()])
@@ -294,8 +292,8 @@ def test_references_under_other_lights_are_compared(sources: list[Task]) -> None
 def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
     app = TINY
     theta = app.init(seeded(), 1)
-    noise = app.draw_noise(seeded(), 1, 1)
-    statistics = map_statistics(app.generate_maps(theta, noise)[0])[0]
+    noise = draw_noise(1, 1)
+    statistics = map_statistics(app.decoder.generate(theta, noise).prediction)[0]
     image = sources[0].data["image"]
 
     def loss_of(truth: Tensor) -> Tensor:
@@ -324,16 +322,18 @@ def test_prior_adds_the_mean_square_deviation_from_usual_maps(sources: list[Task
         theta = flat(KEPT, 0.5, -0.5, 0.0, specular, roughness, 0.0)
         batch = KEPT.sample(tasks, seeded(), 1)
         found.append(KEPT.loss(theta, batch, {}) - TINY.loss(theta, batch, {}))
-    torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * ROUGHNESS_WEIGHT * 2.25]))
-    assert [isinstance(recipe.app, SvbrdfNearPrior) for recipe in (QUICK, PAPER, FULL)] == [False, False, True]
+    torch.testing.assert_close(
+        torch.cat(found), GLOSS_PRIOR_WEIGHT * torch.tensor([0.0, 0.25, ROUGHNESS_WEIGHT * 2.25])
+    )
+    apps: list[Any] = [recipe.app for recipe in (QUICK, PAPER, FULL)]
+    assert [app.decoder.expects_gloss for app in apps] == [False, False, True]
 
 
 def test_true_maps_are_permuted_with_their_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
     tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
     unturned = torch.tensor([False])
-    changes = PictureChanges(unturned, unturned, torch.tensor([[2, 0, 1]]))
-    found = TINY.change_data(tasks, changes)["truth"][0]
+    found = TINY.judge.vary_truth(tasks, unturned, unturned, torch.tensor([[2, 0, 1]]))["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it
@@ -387,7 +387,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
     theta = KEPT.encode(encoder, KEPT.encoder_input(tasks, seeded()))
-    maps, _ = KEPT.generate_maps(theta, KEPT.draw_noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    maps = KEPT.decoder.generate(theta, draw_noise(1, 1).expand(2, -1, -1, -1, -1)).prediction
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))

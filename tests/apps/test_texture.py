@@ -9,16 +9,18 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import TimedFit
-from metapp.apps.exemplar.app import JUDGED_PICTURES
+from metapp.apps.exemplar.exemplar_sight import JUDGED_PICTURES, crop_at_random
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.texture.app import MIN_CROP_SHARE, GramStatistics, Texture
+from metapp.apps.texture.app import MIN_CROP_SHARE, GramStatistics, Texture, compose_texture
+from metapp.apps.texture.texture_codec import TextureAnswer, TextureDecoder
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
 from tests.recipe_apps import presenter_of
 
 SIZE, LEVELS = 32, 3
-TINY = Texture(UNet(8, LEVELS, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1", "relu2_1")))
+NETWORK, TAPS = UNet(8, LEVELS, noise=4, code=8), ("relu1_1", "relu2_1")
+TINY = compose_texture(NETWORK, Octaves(SIZE, SIZE, TAPS))
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -65,7 +67,7 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     theta = app.init(seeded(), 4)
     errors = app.errors(theta, tasks)["error"]
     alone = {key: value[2:3] for key, value in theta.items()}
-    noise = app.draw_noise(seeded(), 1, JUDGED_PICTURES)
+    noise = torch.randn(1, JUDGED_PICTURES, app.decoder.noise_channels, SIZE, SIZE, generator=seeded())
     batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
     torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
 
@@ -80,20 +82,13 @@ class Exemplars(GramStatistics):
         return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.octaves.count_maps(octave))}
 
 
-class Seen(Texture):
-    """A data set that keeps the exemplars it was given."""
-
-    @property
-    def statistics(self) -> Exemplars:
-        return Exemplars(self.octaves)
-
-
-def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
+def variants(image: Tensor, count: int = 40, min_crop_share: float = MIN_CROP_SHARE) -> Tensor:
     """Variants [count, 3, 16, 16] of an image [3, S, S]."""
-    some = app(TINY.network, replace(TINY.octaves, height=16, width=16))
+    statistics = Exemplars(Octaves(16, 16, TAPS))
+    app = replace(TINY, sight=replace(TINY.sight, statistics=statistics, min_crop_share=min_crop_share))
     task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
-    tasks = stack_tasks(some, [task]).select([0] * count)
-    return some.augment(tasks, seeded()).data["exemplar"]
+    tasks = stack_tasks(app, [task]).select([0] * count)
+    return app.augment(tasks, seeded()).data["exemplar"]
 
 
 def test_variants_permute_the_channels_and_no_more() -> None:
@@ -103,16 +98,11 @@ def test_variants_permute_the_channels_and_no_more() -> None:
     assert len(result.round(decimals=2).unique(dim=0)) == 6  # every permutation comes
 
 
-class Uncropped(Seen):
-    def crop(self, image: Tensor, rng: Generator) -> Tensor:
-        return image
-
-
 def test_variants_are_flipped_and_transposed() -> None:
     """What is brightest at the upper left comes at every corner, and turned over its diagonal."""
     image = torch.full((3, 16, 16), 0.2)
     image[:, :2, :6] = 1.0  # lies along the upper edge
-    result = variants(image, app=Uncropped)[:, 0]
+    result = variants(image, min_crop_share=1.0)[:, 0]
     corners = torch.stack([result[:, y : y + 2, x : x + 2].mean((1, 2)) for y in (0, 14) for x in (0, 14)], 1) > 0.9
     assert (corners.sum(1) == 1).all()
     assert corners.any(0).tolist() == [True, True, True, False]  # flips go left to right, before the transposition
@@ -126,7 +116,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
     image = torch.stack([at.expand(64, 64), at[:, None].expand(64, 64), torch.zeros(64, 64)])
     rng, sides, corners = seeded(), [], []
     for _ in range(200):
-        part = TINY.crop(image, rng)
+        part = crop_at_random(image, TINY.sight.min_crop_share, rng)
         side = part.shape[1]
         assert part.shape == (3, side, side)
         left, top = int(part[0, 0, 0]), int(part[1, 0, 0])
@@ -144,14 +134,14 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 def test_order_is_measured_where_the_exemplar_has_some() -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
-    app = replace(TINY, octaves=replace(TINY.octaves, height=64, width=64))
+    app = compose_texture(NETWORK, Octaves(64, 64, TAPS))
 
     def showing(picture: Tensor) -> Texture:
-        class Shown(Texture):
-            def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-                return picture[None, None]
+        class Shown(TextureDecoder):
+            def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> TextureAnswer:
+                return TextureAnswer(picture[None, None])
 
-        return Shown(**vars(app))
+        return replace(app, decoder=Shown(**vars(app.decoder)))
 
     fits = {"a": TimedFit({"z": torch.zeros(8)}, 0.0)}
     paving = pavement().repeat(1, 2, 2)[:, :64, :64]

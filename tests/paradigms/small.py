@@ -30,9 +30,8 @@ from metapp.apps.svbrdf_nonstationary.field_judge import FieldJudge
 from metapp.apps.svbrdf_nonstationary.field_maps import FieldMaps, field_of
 from metapp.apps.svbrdf_nonstationary.maps_sight import MapsSight
 from metapp.apps.svbrdf_nonstationary.photo_sight import PhotoSight
-from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.texture.app import Texture
-from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.apps.svbrdf_stationary.app import compose_svbrdf
+from metapp.apps.texture.app import compose_texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.path_fits import FlowDensity
@@ -139,9 +138,11 @@ SMALL_APPLICATIONS: dict[str, SmallApplication] = {
         material_tasks, SvbrdfNonstationary(SMALL_FIELD_MAPS, MapsSight(), FieldJudge(), PhotoEncoder(2))
     ),
     "svbrdf_stationary": SmallApplication(
-        picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), SMALL_OCTAVES)
+        picture_tasks, compose_svbrdf(UNet(4, levels=2, noise=2, code=4, outputs=6), SMALL_OCTAVES)
     ),
-    "texture": SmallApplication(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)),
+    "texture": SmallApplication(
+        picture_tasks, compose_texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)
+    ),
     "transport": SmallApplication(
         path_tasks, Transport(FlowDensity(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)))
     ),
@@ -159,7 +160,7 @@ def small_app(kind: str, observes: str = "") -> App:
     if kind == FEATURE_NETWORK:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
     if kind == QUILTED_TEXTURE:
-        return QuiltedTexture(LightGrid(4, 4), SMALL_OCTAVES, candidates=1)
+        return compose_texture(LightGrid(4, 4), SMALL_OCTAVES, candidates=1)
     return SMALL_PHOTO_APPS[kind] if observes == "photo" else SMALL_APPLICATIONS[kind].app
 
 

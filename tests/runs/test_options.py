@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.presenter import Presenter
-from metapp.apps.exemplar.quilted_app import LARGEST_PHOTO_PX
+from metapp.apps.exemplar.exemplar_codec import LARGEST_PHOTO_PX
 from metapp.cli.command_tree import app as cli
 from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS

@@ -1,7 +1,7 @@
-"""The base of two applications, texture and svbrdf_stationary: pictures from noise with the statistics of an exemplar.
+"""The components of two applications, texture and svbrdf_stationary: pictures with the statistics of an exemplar.
 
-Read `octaves`, the sizes at which pictures are compared with an exemplar, and `exemplar_statistics`, what is compared;
-then `app`, what all fits share, `quilts`, pictures of pieces of the exemplar, `quilted_app`, fits whose networks change
-quilts, and `presenter`, pictures and warnings.
-`options` and `recipes` serve both applications.
+Read `octaves`, the sizes at which pictures are compared with an exemplar, and `exemplar_statistics`, what is compared
+and the judge; then `exemplar_codec`, the decoder of noise or of quilts and General's encoder, and `exemplar_sight`,
+what fits see and training varies. `quilts` makes pictures of pieces of the exemplar; `presenter` has pictures and
+warnings. `options` and `recipes` serve both applications.
 """

@@ -1,22 +1,26 @@
-"""The statistics by which exemplars are described, and the distance of pictures from them."""
+"""The statistics of exemplars, which pictures are compared with in fits, in training and in errors."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from torch import Tensor
+from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.features import moments
 from metapp.apps.exemplar.octaves import Crop, Octaves
-from metapp.learning.task import Batch, Tasks
+from metapp.learning.composed import Judge
+from metapp.learning.task import Batch, Task, Tasks
 
 
 @dataclass(frozen=True)
-class Statistics(ABC):
-    """Statistics of features that describe exemplars, octave by octave, and the distance of pictures from them.
+class Statistics(Judge[Any, Batch, Batch]):
+    """Statistics of features that describe exemplars, octave by octave, and the judge of pictures by them.
+
+    What fits see is judged, too: tasks hold no truth beside that, unless a subclass says so.
 
     Attributes:
         octaves: the sizes of pictures, and the features of each.
@@ -38,6 +42,15 @@ class Statistics(ABC):
 
         Returns:
             The statistics of each map of features, such as `gram0`, named by `statistic_names`; `summary` [B, S].
+        """
+
+    @abstractmethod
+    def targets(self, tasks: Tasks, rng: Generator | None = None) -> Batch:
+        """Return what pictures are compared with, by name, [T, ...] each.
+
+        Args:
+            tasks: exemplars.
+            rng: draws a part of it, as a step of a fit sees; None for all of it.
         """
 
     def summarise(self, maps: list[Tensor], octave: int) -> Tensor:
@@ -67,5 +80,56 @@ class Statistics(ABC):
         return [None] * len(pictures)
 
     @abstractmethod
-    def errors(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Return error measures [T], by name, of pictures or maps [T, B, ...] against the exemplars of tasks."""
+    def take_even_photo(self, image: Tensor) -> Tensor:
+        """Return a photograph without its light, display values [3, S, S] in [0, 1], of which pieces are fetched.
+
+        Args:
+            image: the photograph, uint8 [3, S, S].
+        """
+
+    @abstractmethod
+    def loss(self, answer: Any, described: Batch) -> Tensor:
+        """Compute the loss of fits, [T].
+
+        Args:
+            answer: what the decoder returns.
+            described: what :meth:`targets` returns.
+        """
+
+    @override
+    def prepare(self, task: Task, decoder: Any) -> Batch:
+        return {}
+
+    @override
+    def gather(self, tasks: Tasks) -> Batch:
+        return {}
+
+    @override
+    def read(self, batch: Batch) -> Batch:
+        return batch
+
+    @override
+    def outer_loss(self, answer: Any, seen: Batch, truth: Batch) -> Tensor:
+        return self.loss(answer, seen)
+
+    def vary_truth(self, tasks: Tasks, is_flipped: Tensor, is_transposed: Tensor, channels: Tensor) -> Batch:
+        """Return the truth [T, ...] of exemplars whose pictures data augmentation changes; here there is none.
+
+        Args:
+            tasks: the exemplars before that.
+            is_flipped: whether left and right are exchanged, bool [T].
+            is_transposed: whether rows and columns are exchanged after that, bool [T].
+            channels: the number that each channel had before, [T, 3].
+        """
+        return {}
+
+
+def gather_known(tasks: Tasks, *names: str) -> Batch:
+    """Return the tensors of some names, [T, ...], that the tasks have; see :meth:`Tasks.gather`."""
+    return tasks.gather([name for name in names if name in tasks.data])
+
+
+def turn_picture(picture: Tensor, is_flipped: bool, is_transposed: bool) -> Tensor:
+    """Flip a picture [..., H, W] from left to right, then exchange rows and columns, each if that is asked for."""
+    picture = picture.flip(-1) if is_flipped else picture
+    return picture.mT if is_transposed else picture

@@ -6,8 +6,8 @@ network's output.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import ClassVar, TypeVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,18 +19,14 @@ from metapp.appearance.lines import compare_lines
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings
-from metapp.apps.exemplar.app import ExemplarApp
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
 from metapp.networks.quilted import copied_share, repeated_share, seam_strength
 
 MIN_FILE_PX = 16  # shortest side of pictures in files
 LARGEST_PX = 4096  # longest side of pictures in files
 
-GeneratingApp = TypeVar("GeneratingApp", bound=ExemplarApp)
-Generated = TypeVar("Generated")
 
-
-class ExemplarPresenter(Presenter[GeneratingApp]):
+class ExemplarPresenter(Presenter[Any]):
     """The presenter of pictures or maps that a network generates from noise, like one exemplar.
 
     Attributes:
@@ -41,7 +37,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
-        step = self.app.file_side_step
+        step = self.app.decoder.file_side_step
         smallest = max(MIN_FILE_PX, 2 * step)
         is_possible = all(smallest <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
         multiples = f"multiples of {step} from " if step > 1 else ""
@@ -52,18 +48,14 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         return VisibleData(1, task.data["image"].nbytes, 1)  # each step and the encoder see all of the exemplar
 
     @torch.no_grad()
-    def generate_shown(self, theta: Params, make: Callable[[Params, Tensor], Generated]) -> Generated:
-        """Generate what is shown of a fit at the exemplar's size, from one noise for all fits.
+    def generate_shown(self, theta: Params) -> Any:
+        """Generate the answer [1, 1, ...] that is shown of a fit at the exemplar's size, from one noise for all fits.
 
         Args:
             theta: the fit, without a task axis.
-            make: a function of parameters [1, ...] and noise [1, 1, C, H, W], such as :meth:`ExemplarApp.generate`.
-
-        Returns:
-            What `make` returns.
         """
-        theta = add_task_axis(theta)
-        return make(theta, self.app.shown_noise(theta["z"]))
+        theta, decoder = add_task_axis(theta), self.app.decoder
+        return decoder.generate(theta, decoder.shown_noise(theta["z"]))
 
     @override
     @torch.no_grad()
@@ -73,19 +65,24 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         The first that holds: the picture is black or uniform, has lost regular structure, breaks lines, shows cuts
         between pieces, or repeats itself. There are clauses only where networks read quilts.
         """
-        app, statistics, quilts = self.app, self.app.statistics, self.app.find_quilts(theta)
-        if quilts is None:
+        if "quilt" not in theta:
             return super().quality_warnings(theta, tasks)
+        decoder, statistics = self.app.decoder, self.app.sight.statistics
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        prediction = app.generate(theta, app.shown_noise(tasks.rows))
-        exemplars = app.octaves.take_exemplar(data["image"].float() / 255)
+        prediction = decoder.generate(theta, decoder.shown_noise(tasks.rows)).prediction
+        exemplars = decoder.octaves.take_exemplar(data["image"].float() / 255)
         pictures = exemplars, statistics.render_prediction(prediction, data)[:, 0]
         collapse_warnings = [
             collapsed_fit_warnings(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)
         ]
         exemplars, evenly_lit = (statistics.even_light(photos, data) for photos in pictures)
         comparisons = zip(
-            collapse_warnings, exemplars.cpu(), evenly_lit.cpu(), quilts.quilt.cpu(), quilts.places.cpu(), strict=True
+            collapse_warnings,
+            exemplars.cpu(),
+            evenly_lit.cpu(),
+            theta["quilt"].cpu(),
+            theta["places"].cpu(),
+            strict=True,
         )
         return [
             clauses or self._find_lost(exemplar, picture) or self._find_visible_pieces(exemplar, quilt, places)
@@ -110,7 +107,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             quilt: the quilt, [3, H, W].
             places: the places of its cells in the exemplar, [2, rows, columns].
         """
-        even, cells = remove_quadratic_trend(exemplar), self.app.octaves.octave_size()
+        even, cells = remove_quadratic_trend(exemplar), self.app.decoder.octaves.octave_size()
         if clauses := VISIBLE_CUTS.about(seam_strength(even, quilt, places, cells)):
             return clauses
         repeats = REPETITION.about(repeated_share(places, cells))
@@ -123,9 +120,8 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         These are `copied`, the share of the picture that is a copy of the photo, but for its light, and `repeated`, the
         largest share that comes back at one shift.
         """
-        quilts = self.app.find_quilts(theta)
-        if quilts is None:
+        if "places" not in theta:
             return super().remarks(theta, task)
-        places, cells = quilts.places.cpu(), self.app.octaves.octave_size()
+        places, cells = theta["places"].cpu(), self.app.decoder.octaves.octave_size()
         figures = {"copied": copied_share(places, cells), "repeated": repeated_share(places, cells)}
         return {**super().remarks(theta, task), **figures}

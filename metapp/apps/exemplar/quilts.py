@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from metapp.appearance.stretch import apply_stretch, find_stretch
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.networks.quilted import fetch_pieces, repeated_share, seam_strength
 
+# Names of what a quilt is kept as: parameters of fits that the exemplar determines and no step changes
+QUILT_NAMES = ("places", "quilt")
 BLOCKS = ((64, 21), (96, 32), (128, 42), (48, 16))  # side and overlap of blocks, in cells, of which quilts are made
 BLOCK_CELLS = 256  # cells along a side of the photograph for which these blocks were chosen
 ORDER_GOAL, ORDER_WEIGHT = 0.9, 0.3  # share of the exemplar's order that a quilt should keep; the penalty below it
@@ -35,6 +38,11 @@ TILE_CANDIDATES = 6  # quilts of another size than the photograph's, of which th
 # Share of a photograph's order below which a tile of another size has cut it
 MIN_ORDER_SHARE_AGAIN = 0.77
 TILE_SEED = 7  # seed of quilts of other sizes than the photograph's
+
+
+def select_quilts(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Select `places` and `quilt` among tensors [T, ...] by name; none if these are not of quilts."""
+    return {name: tensors[name] for name in QUILT_NAMES if name in tensors}
 
 
 class PieceSource(NamedTuple):

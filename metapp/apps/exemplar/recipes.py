@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.exemplar.app import ExemplarApp
 from metapp.apps.exemplar.octaves import Octaves
+from metapp.learning.app import App
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
-from metapp.networks.generators import UNet
 
 GENERAL_RATES = {
     "": 3e-3,
@@ -18,15 +17,17 @@ GENERAL_RATES = {
 }  # learning rates of General's training, by the beginning of parameters' names
 
 
-def generator_recipe(
-    app: type[ExemplarApp], *, steps: int, outputs: int, tasks: int, rate: float, searched: Adam, general: OuterLoop
-) -> Recipe:
-    """Return the recipe of pictures of 64 x 64 texels that a U-Net generates from noise.
+CANDIDATES = 12  # quilts of which a fit begins with the best one
+QUICK_OCTAVES = Octaves(64, 64, ("relu1_1", "relu2_1", "relu3_1"))
+FULL_OCTAVES = Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3)
+
+
+def generator_recipe(app: App, *, steps: int, tasks: int, rate: float, searched: Adam, general: OuterLoop) -> Recipe:
+    """Return the recipe of pictures of QUICK_OCTAVES that a U-Net generates from noise.
 
     Args:
-        app: the class of the application.
+        app: the application.
         steps: the number of gradient steps of a fit.
-        outputs: the number of channels of a picture.
         tasks: the number of tasks of each outer step of a rule's training.
         rate: the learning rate of General's parameters where a rule trains these, too.
         searched: the Adam that the search for the rule "meta-basis" begins with.
@@ -62,7 +63,7 @@ def generator_recipe(
             "meta-basis": searched_rule,
         },
         rule="meta-basis",
-        app=app(UNet(16, outputs=outputs), Octaves(64, 64, ("relu1_1", "relu2_1", "relu3_1"))),
+        app=app,
     )
 
 

@@ -1,8 +1,8 @@
 """Stationary svBRDFs: a network from noise to maps that look like a flash photo under its light (paper section 4.1.3).
 
-Read `windows`, statistics in parts of a picture, and `flash_statistics`, what describes a flash photo; then `app`, maps
-and losses, `gloss_prior`, fits whose gloss stays near General's, `quilted`, maps of pieces of the photo, and
-`presenter`, pictures. `options` and `recipes` are as in every application. The base of all is in
+Read `windows`, statistics in parts of a picture, and `material_codec`, maps and their gloss; then `flash_statistics`,
+what describes a flash photo, and losses and errors, `true_maps`, what training compares, `app`, maps in files, and
+`presenter`, pictures. `options` and `recipes` are as in every application. The other components are in
 `metapp.apps.exemplar`.
 """
 

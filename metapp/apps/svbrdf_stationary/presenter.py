@@ -22,14 +22,13 @@ from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.exemplar.breaks import break_strength
 from metapp.apps.exemplar.presenter import ExemplarPresenter
-from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
 UNMOVED_NOISE = -9.0  # of the numbers that say how far tiles are moved: not at all
 
 
-class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
+class SvbrdfStationaryPresenter(ExemplarPresenter):
     """The presenter of maps that tile: beside their flash photograph, and under other lights."""
 
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
@@ -38,7 +37,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photo and the fit under its light, then the maps, and pictures of them under other lights."""
-        octaves, statistics = self.app.octaves, self.app.statistics
+        octaves, statistics = self.app.decoder.octaves, self.app.sight.statistics
         photo = octaves.take_exemplar(task.data["image"][None].float() / 255)
         light = statistics.find_light(photo)
         maps, height = self._generate_material(theta)
@@ -53,7 +52,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison:
         """Return the maps under the photo's light and, where the task has references, under other lights."""
-        octaves, statistics = self.app.octaves, self.app.statistics
+        octaves, statistics = self.app.decoder.octaves, self.app.sight.statistics
         photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
         references = torch.cat([octaves.take_exemplar(images.float() / 255) for images in photos])
         light, maps = statistics.find_light(references[:1])[0], self._generate_material(theta)[0]
@@ -74,32 +73,34 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
 
         That relief breaks at cuts is said where nothing else is found lost.
         """
-        warnings, quilts = super().quality_warnings(theta, tasks), self.app.find_quilts(theta)
-        if quilts is None:
+        warnings = super().quality_warnings(theta, tasks)
+        if "places" not in theta:
             return warnings
-        images, noise = tasks.data["image"][tasks.rows].float() / 255, self.app.shown_noise(tasks.rows)
-        normals, photo_normals = self.app.generate(theta, noise).normal, self._generate_photo_normals(theta, tasks)
+        images, noise = tasks.data["image"][tasks.rows].float() / 255, self.app.decoder.shown_noise(tasks.rows)
+        material, photo_normals = self.app.decoder.generate(theta, noise), self._generate_photo_normals(theta, tasks)
         return [
             (clauses or _doubt_rows(photo_normal, places))
             + clipped_highlight_warnings(image, F0_BOUND_CLAUSE)
             + GUESSED_RELIEF.about(mean_tilt_degrees(normal))
             for clauses, image, photo_normal, normal, places in zip(
-                warnings, images, photo_normals, normals, quilts.places, strict=True
+                warnings, images, photo_normals, material.prediction.normal, theta["places"], strict=True
             )
         ]
 
     def _generate_photo_normals(self, theta: Params, tasks: Tasks) -> Tensor:
         """Generate the normals that fits would have if their quilts were the photos in even light, [T, 3, H, W]."""
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        exemplars = self.app.octaves.take_exemplar(data["image"].float() / 255)
-        even = [remove_quadratic_trend(photo) for photo in self.app.statistics.even_light(exemplars, data)]
-        noise = torch.full_like(self.app.shown_noise(tasks.rows), UNMOVED_NOISE)
-        return self.app.generate(theta | {"quilt": torch.stack(even)}, noise).normal[:, 0]
+        decoder, statistics = self.app.decoder, self.app.sight.statistics
+        unshaded = statistics.even_light(decoder.octaves.take_exemplar(data["image"].float() / 255), data)
+        even = torch.stack([remove_quadratic_trend(photo) for photo in unshaded])
+        noise = torch.full_like(decoder.shown_noise(tasks.rows), UNMOVED_NOISE)
+        normals: Tensor = decoder.generate(theta | {"quilt": even}, noise).prediction.normal[:, 0]
+        return normals
 
     def _generate_material(self, theta: Params) -> tuple[Maps, Tensor]:
         """Generate maps [C, H, W] of one material at the exemplar's size, and their height [1, H, W] in texels."""
-        maps, heights = self.generate_shown(theta, self.app.generate_maps)
-        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
+        material = self.generate_shown(theta)
+        return Maps(*(part[0, 0] for part in material.prediction)), material.height[0, 0]
 
 
 def _doubt_rows(photo_normal: Tensor, places: Tensor) -> list[str]:

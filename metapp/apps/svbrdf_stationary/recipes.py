@@ -8,16 +8,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.recipes import general_training, generator_recipe
-from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
+from metapp.apps.exemplar.recipes import (
+    CANDIDATES,
+    FULL_OCTAVES,
+    QUICK_OCTAVES,
+    general_training,
+    generator_recipe,
+)
+from metapp.apps.svbrdf_stationary.app import compose_svbrdf
 from metapp.learning.recipe import Adam, paper_recipe
 from metapp.networks.generators import Pyramid, UNet
 
 QUICK = generator_recipe(
-    SvbrdfStationary,
+    compose_svbrdf(UNet(16, outputs=6), QUICK_OCTAVES),
     steps=20,
-    outputs=6,
     tasks=3,
     rate=3e-4,
     searched=Adam(3e-3, beta1=0.5, beta2=0.97, final_rate_share=0.3),
@@ -42,15 +46,16 @@ FULL = replace(
     },
     rule="meta-axes",
     search=QUILT_SEARCH,
-    app=QuiltedSvbrdf(
+    app=compose_svbrdf(
         Pyramid(16, noise=0, outputs=6, quilt=3),
-        Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3, shares=(0.2, 0.6)),
+        replace(FULL_OCTAVES, shares=(0.2, 0.6)),
+        CANDIDATES,
+        expects_gloss=True,
     ),
 )
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, 3 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")
-PUBLISHED_APP = SvbrdfStationary(UNet(32, outputs=6), Octaves(256, 256, TAPS))
-PAPER = paper_recipe(QUICK, PUBLISHED_APP, tasks=3, validate_every=50)
+PAPER = paper_recipe(QUICK, compose_svbrdf(UNet(32, outputs=6), Octaves(256, 256, TAPS)), tasks=3, validate_every=50)
 # 64 texels a side, at which an outer step takes seconds on CPUs
-PAPER_64 = replace(PAPER, app=replace(PUBLISHED_APP, octaves=Octaves(64, 64, TAPS)))
+PAPER_64 = replace(PAPER, app=compose_svbrdf(UNet(32, outputs=6), Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

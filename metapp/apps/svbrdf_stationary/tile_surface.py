@@ -17,7 +17,7 @@ def make_surface(app: SvbrdfStationary, theta: Params, task: Task, size: tuple[i
     maps, height = app.draw_maps(add_task_axis(theta), task, size)
     photos = {}
     if "image" in task.data:
-        photo = app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        light, share = app.statistics.find_light(photo)[0], app.photo_share(task, size)
+        photo = app.sight.take_exemplar(task)
+        light, share = app.judge.find_light(photo)[0], app.photo_share(task, size)
         photos["photo_1"] = Photograph(light, light, pixels=photo[0] ** DISPLAY_GAMMA, shown_share=share)
     return Surface(maps, True, height, FLASH_FALLOFF, photos)

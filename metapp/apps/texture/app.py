@@ -1,24 +1,32 @@
 """The application of textures: Gram matrices of features of generated pictures are fitted to an exemplar's.
 
-General's encoder and data augmentation are in :mod:`metapp.apps.exemplar.app`, generators in :mod:`metapp.networks`;
-here is what makes a texture of the network's output and what is compared with the exemplar.
+Where decoders read quilts, a texture is made of pieces of the photograph, which are fetched at the photograph's own
+resolution, so that structures are as large and as sharp as there.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import interpolate
 from typing_extensions import override
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.apps.exemplar.app import ExemplarApp
+from metapp.appearance.lattice import remove_quadratic_trend
+from metapp.apps.exemplar.exemplar_codec import LARGEST_PHOTO_PX, SummaryEncoder
+from metapp.apps.exemplar.exemplar_sight import ExemplarSight
 from metapp.apps.exemplar.exemplar_statistics import Statistics
+from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.texture.texture_codec import LightEncoder, TextureAnswer, TextureDecoder
 from metapp.learning.app import ErrorMeasure
-from metapp.learning.random_tensors import draw_uniform
+from metapp.learning.composed import ComposedApp
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
+from metapp.networks.quilted import colour_moments, subtract_trend
 
+CHANGE_WEIGHT = 30.0  # weight in the loss of the mean squared change of the quilt, so that it stays unseen
 MIN_CROP_SHARE = 0.5  # shortest side of random crops over the side of the exemplar
 
 
@@ -30,36 +38,56 @@ class GramStatistics(Statistics):
     @override
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Compute the Gram matrix [B, C, C] of each feature map, `gram0`, `gram1` and so on, and `summary` [B, S]."""
+        """Compute the Gram matrix [B, C, C] of each feature map, `gram0`, `gram1` and so on, and what encoders read.
+
+        These are `summary` [B, S], and `moments` [B, 6], the channels' means and deviations.
+        """
         maps = self.compute_features(exemplars, octave)
-        return {f"gram{i}": gram(features) for i, features in enumerate(maps)} | {
-            "summary": self.summarise(maps, octave)
-        }
+        grams = {f"gram{i}": gram(features) for i, features in enumerate(maps)}
+        return grams | {"summary": self.summarise(maps, octave), "moments": colour_moments(exemplars)}
 
-    def targets(self, tasks: Tasks) -> Batch:
-        """Return what pictures are compared with in fits: Gram matrices of the exemplars, [T, C, C] each."""
-        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
+    @override
+    def targets(self, tasks: Tasks, rng: Generator | None = None) -> Batch:
+        """Return the exemplars' Gram matrices, [T, C, C] each; nothing is drawn."""
+        return tasks.gather([name for name in tasks.data if name.startswith("gram")])
 
-    def gram_distance(self, pictures: Tensor, batch: Batch) -> Tensor:
+    @override
+    def take_even_photo(self, image: Tensor) -> Tensor:
+        photo = image.float() / 255
+        exemplar = self.octaves.take_exemplar(photo[None])[0]
+        return subtract_trend(photo, exemplar, remove_quadratic_trend(exemplar))
+
+    def gram_distance(self, pictures: Tensor, described: Batch) -> Tensor:
         """Return the relative L1 distance of pictures' Gram matrices from the exemplars', [T].
 
         Args:
             pictures: pictures [T, B, 3, H, W] of an octave's size, sRGB in [0, 1].
-            batch: what :meth:`targets` returns.
+            described: what :meth:`targets` returns.
         """
-        maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(batch))
+        maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(described))
         grams = [gram(features).unflatten(0, pictures.shape[:2]) for features in maps]
-        return statistics_distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+        return statistics_distance(grams, [described[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+
+    @override
+    def loss(self, answer: TextureAnswer, described: Batch) -> Tensor:
+        """Return the relative L1 distance of Gram matrices, [T], plus CHANGE_WEIGHT times the change of quilts."""
+        distance = self.gram_distance(answer.prediction, described)
+        return distance if answer.quilt_change is None else distance + CHANGE_WEIGHT * answer.quilt_change
 
     @override
     @torch.no_grad()
-    def errors(self, prediction: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors(self, prediction: Tensor, seen: Batch, truth: Batch) -> dict[str, Tensor]:
         """Measure pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1], by Gram matrices: `error` [T]."""
-        return {"error": self.gram_distance(prediction, self.targets(tasks))}
+        return {"error": self.gram_distance(prediction, seen)}
 
 
-class Texture(ExemplarApp):
+@dataclass(frozen=True)
+class Texture(ComposedApp):
     """The application of textures: a task is one exemplar of a stationary texture."""
+
+    decoder: TextureDecoder
+    sight: ExemplarSight
+    judge: GramStatistics
 
     name = "texture"
     error_measure = ErrorMeasure("relative L1 distance of Gram matrices, mean over taps and generated textures")
@@ -67,13 +95,16 @@ class Texture(ExemplarApp):
 
     @property
     @override
-    def statistics(self) -> GramStatistics:
-        return GramStatistics(self.octaves)
+    def read_size(self) -> int:
+        return LARGEST_PHOTO_PX if self.decoder.reads_quilts else 0
 
     @override
-    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-        """Generate textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
-        return torch.sigmoid(self.network(theta, noise))
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        return self.sight.vary(tasks, rng)
+
+    def take_file_exemplar(self, task: Task) -> Tensor:
+        """Return the exemplar [3, H, W], sRGB in [0, 1], in which structures are as large as in files."""
+        return task.data["image"].float() / 255 if self.decoder.reads_quilts else self.sight.take_exemplar(task)[0]
 
     @torch.no_grad()
     def draw_tile(self, theta: Params, task: Task, size: tuple[int, int] | None) -> Tensor:
@@ -82,34 +113,30 @@ class Texture(ExemplarApp):
         Args:
             theta: a fit, with a task axis of length 1.
             task: the task that was fitted.
-            size: height and width in px; None for the usual size.
+            size: height and width in px; None for the usual size. With quilts this is the photograph's, or, if the task
+                holds no photograph, the quilt's, and a warning says so. For other sizes the tile is quilted once more.
 
         Returns:
             The texture [3, H, W], sRGB in [0, 1].
         """
-        return self.generate(theta, self.shown_noise(theta["z"], self.file_size(size)))[0, 0]
+        decoder = self.decoder
+        if not decoder.reads_quilts:
+            return decoder.generate(theta, decoder.shown_noise(theta["z"], decoder.file_size(size))).prediction[0, 0]
+        tile: Tensor = decoder.network(theta, self.sight.fetch_quilt(theta, task, "the texture has"))[0]
+        if size is None or size == (tile.shape[1], tile.shape[2]):
+            return tile
+        colours = interpolate(decoder.network(theta, theta["quilt"]), decoder.octaves.octave_size(), mode="area")[0]
+        return self.sight.resize_tile(task, tile, colours, size).clamp(0, 1)
 
-    def take_file_exemplar(self, task: Task) -> Tensor:
-        """Return the exemplar [3, H, W], sRGB in [0, 1], in which structures are as large as in files."""
-        return self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
 
-    @override
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Draw `noise` [T, count, C, H, W] of textures, and add what these are compared with."""
-        noise = self.draw_noise(rng, len(tasks), count, self.octaves.find_octave(tasks.data))
-        return {"noise": noise} | self.statistics.targets(tasks)
+def compose_texture(network: Any, octaves: Octaves, candidates: int = 0) -> Texture:
+    """Compose the application of textures.
 
-    @override
-    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the relative L1 distance of Gram matrices, [T]."""
-        pictures = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
-        return self.statistics.gram_distance(pictures, batch)
-
-    @override
-    def crop(self, image: Tensor, rng: Generator) -> Tensor:
-        """Crop a square [3, s, s] at a random place and scale from an image [3, S, S]."""
-        size = image.shape[-1]
-        scale, left, top = draw_uniform(rng, 3).tolist()
-        side = round(size * (MIN_CROP_SHARE + (1 - MIN_CROP_SHARE) * scale))
-        x, y = round(left * (size - side)), round(top * (size - side))
-        return image[:, y : y + side, x : x + side]
+    Args:
+        network: the network.
+        octaves: the sizes at which pictures are compared with the exemplar.
+        candidates: the number of quilts of which a fit begins with the best one; 0 for textures from noise.
+    """
+    decoder, statistics = TextureDecoder(network, octaves, candidates > 0), GramStatistics(octaves)
+    sight = ExemplarSight(statistics, decoder.noise_channels, candidates, MIN_CROP_SHARE)
+    return Texture(decoder, sight, statistics, (LightEncoder if candidates else SummaryEncoder)(statistics))

@@ -12,11 +12,10 @@ from typing_extensions import override
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.pictures import PictureComparison
 from metapp.apps.exemplar.presenter import ExemplarPresenter
-from metapp.apps.texture.app import Texture
 from metapp.learning.task import Params, Task
 
 
-class TexturePresenter(ExemplarPresenter[Texture]):
+class TexturePresenter(ExemplarPresenter):
     """The presenter of a texture that tiles, beside its exemplar."""
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
@@ -31,5 +30,4 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
     @override
     def comparison(self, theta: Params, task: Task) -> PictureComparison:
-        exemplar = self.app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        return PictureComparison(self.generate_shown(theta, self.app.generate)[0], exemplar)
+        return PictureComparison(self.generate_shown(theta).prediction[0], self.app.sight.take_exemplar(task))

@@ -8,17 +8,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.recipes import general_training, generator_recipe
-from metapp.apps.texture.app import Texture
-from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.apps.exemplar.recipes import (
+    CANDIDATES,
+    FULL_OCTAVES,
+    QUICK_OCTAVES,
+    general_training,
+    generator_recipe,
+)
+from metapp.apps.texture.app import compose_texture
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, paper_recipe
 from metapp.networks.generators import UNet
 from metapp.networks.quilted import LightGrid
 
 QUICK = generator_recipe(
-    Texture,
+    compose_texture(UNet(16), QUICK_OCTAVES),
     steps=15,
-    outputs=3,
     tasks=4,
     rate=1e-4,
     searched=Adam(5e-3, beta1=0.5, beta2=0.99, final_rate_share=0.6),
@@ -58,12 +62,11 @@ FULL = replace(
     },
     rule="meta-encoder",
     search=QUILT_SEARCH,
-    app=QuiltedTexture(LightGrid(), Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3)),
+    app=compose_texture(LightGrid(), FULL_OCTAVES, CANDIDATES),
 )
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, 5 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
-PUBLISHED_APP = Texture(UNet(32), Octaves(192, 256, TAPS))
-PAPER = paper_recipe(QUICK, PUBLISHED_APP, validate_every=50)
+PAPER = paper_recipe(QUICK, compose_texture(UNet(32), Octaves(192, 256, TAPS)), validate_every=50)
 # 64 texels a side, at which an outer step takes seconds on CPUs
-PAPER_64 = replace(PAPER, app=replace(PUBLISHED_APP, octaves=Octaves(64, 64, TAPS)))
+PAPER_64 = replace(PAPER, app=compose_texture(UNet(32), Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

@@ -6,6 +6,8 @@ measure of pictures.
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Generator, Tensor
 from typing_extensions import override
@@ -17,11 +19,11 @@ from metapp.appearance.highlight import estimate_gloss, remove_shading
 from metapp.appearance.lattice import subtract_local_mean
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.exemplar.app import JUDGED_PICTURES
+from metapp.apps.exemplar.exemplar_sight import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
-from metapp.extensions.baselines.texture import NearestExemplar, quilt_pictures
+from metapp.extensions.baselines.texture import NearestExemplar, leave_out_quilts, quilt_pictures
 from metapp.learning.app import App
 from metapp.learning.task import Task, Tasks
 
@@ -76,8 +78,7 @@ def quilt_maps(
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of flash photographs of stationary materials, which read no quilts of fits."""
-    assert isinstance(app, SvbrdfStationary)
-    app = app.without_quilts()
+    app = leave_out_quilts(app)
     return NearestPhoto(app), QuiltedMaterial(app)
 
 
@@ -104,13 +105,12 @@ class QuiltedMaterial(Baseline):
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        app = self.app
-        assert isinstance(app, SvbrdfStationary)
-        photos = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
+        statistics = cast(SvbrdfStationary, self.app).judge
+        photos = statistics.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
         light = tasks.data["light"][tasks.rows]
         maps = quilt_maps(photos, light, rng)
         photo_numbers = photos.numel()
-        picture = app.statistics.photograph(Maps(*(values[0, 0] for values in maps)), light[0], light[0])
+        picture = statistics.photograph(Maps(*(values[0, 0] for values in maps)), light[0], light[0])
 
         def make_surface(task: Task, size: tuple[int, int] | None) -> Surface:
             shown = Maps(

@@ -7,6 +7,9 @@ photograph itself, both methods write files at the scale and resolution of the p
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import cast
+
 import numpy as np
 import torch
 from torch import Generator, Tensor
@@ -17,9 +20,10 @@ from metapp.appearance.features import statistics_distance
 from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.appearance.stretch import stretch_to_tile
-from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
+from metapp.apps.exemplar.exemplar_sight import JUDGED_PICTURES, ExemplarSight
+from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.quilts import count_tile_cells, make_piece_source, quilt_places
-from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.apps.texture import app as texture_app
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
     Baseline,
@@ -30,6 +34,7 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.extensions.baselines.blending import blend_tile
 from metapp.learning.app import App
+from metapp.learning.composed import ComposedApp
 from metapp.learning.task import Task, Tasks
 from metapp.networks.quilted import fetch_pieces
 
@@ -38,9 +43,14 @@ COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of textures, which read no quilts of fits."""
-    assert isinstance(app, ExemplarApp)
-    app = app.without_quilts()
+    app = leave_out_quilts(app)
     return NearestExemplar(app), Quilting(app), Blending(app)
+
+
+def leave_out_quilts(app: App) -> App:
+    """Return an application of exemplars for methods that read no quilts: tasks are prepared without any."""
+    exemplar_app = cast(ComposedApp, app)
+    return replace(exemplar_app, sight=replace(cast(ExemplarSight, exemplar_app.sight), candidates=0))
 
 
 class NearestExemplar(Baseline):
@@ -56,10 +66,10 @@ class NearestExemplar(Baseline):
 
     @override
     def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:
-        assert isinstance(self.app, ExemplarApp)
+        statistics = cast(Statistics, cast(ComposedApp, self.app).judge)
         data = training.prepared_tasks.data
         self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
-        self.pictures = self.app.octaves.take_exemplar(data["image"].float() / 255)
+        self.pictures = statistics.octaves.take_exemplar(data["image"].float() / 255)
         self.shared_bytes = tensor_bytes(data["image"], *self.grams.values())
 
     @override
@@ -87,16 +97,15 @@ class Quilting(Baseline):
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        app = self.app
-        assert isinstance(app, ExemplarApp)
+        app = cast(texture_app.Texture, self.app)
         image = tasks.data["image"][tasks.rows]
-        exemplar = app.octaves.take_exemplar(image.float() / 255)[0]
+        exemplar = app.judge.octaves.take_exemplar(image.float() / 255)[0]
         size = exemplar.shape[1], exemplar.shape[2]
         pictures = quilt_pictures(exemplar, size, rng)
 
         def make_texture(task: Task, asked_size: tuple[int, int] | None) -> Texture:
-            if isinstance(app, QuiltedTexture):
-                return Texture(quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng))
+            if app.decoder.reads_quilts:
+                return Texture(quilt_photo(app.judge.take_even_photo(image[0]), exemplar, asked_size, rng))
             return Texture(quilt_tile(exemplar, asked_size or size, rng))
 
         picture = Texture(pictures[0, 0]).preview()
@@ -116,15 +125,14 @@ class Blending(Baseline):
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        app = self.app
-        assert isinstance(app, ExemplarApp)
+        app = cast(texture_app.Texture, self.app)
         image = tasks.data["image"][tasks.rows]
-        exemplar = app.octaves.take_exemplar(image.float() / 255)[0]
+        exemplar = app.judge.octaves.take_exemplar(image.float() / 255)[0]
         even, size = remove_quadratic_trend(exemplar).clamp(0, 1), (exemplar.shape[1], exemplar.shape[2])
         pictures = torch.stack([blend_tile(even, size, rng) for _ in range(JUDGED_PICTURES)])[None]
 
         def make_texture(task: Task, asked_size: tuple[int, int] | None) -> Texture:
-            source = app.take_even_photo(image[0]) if isinstance(app, QuiltedTexture) else even
+            source = app.judge.take_even_photo(image[0]) if app.decoder.reads_quilts else even
             return Texture(blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng))
 
         picture = Texture(pictures[0, 0]).preview()

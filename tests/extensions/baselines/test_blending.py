@@ -1,12 +1,14 @@
 """Histogram-preserving blending: what pictures keep of an exemplar (colours, grain), and what they lose (order)."""
 
+from typing import cast
+
 import pytest
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from metapp.appearance.lattice import find_lattice, kept_order_share
-from metapp.apps.exemplar.app import ExemplarApp
+from metapp.apps.texture.app import Texture
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import BaselineFit, CostLimits
 from metapp.extensions.baselines.blending import ColourDistribution, blend_tile, find_triangle
@@ -138,18 +140,16 @@ def test_order_is_lost_that_quilting_keeps() -> None:
 
 
 @pytest.fixture(scope="module")
-def app() -> ExemplarApp:
-    app = app_by_recipe("texture")
-    assert isinstance(app, ExemplarApp)
-    return app
+def app() -> Texture:
+    return cast("Texture", app_by_recipe("texture"))
 
 
-def fit(app: ExemplarApp, method: str, tasks: Tasks) -> BaselineFit:
+def fit(app: Texture, method: str, tasks: Tasks) -> BaselineFit:
     (baseline,) = [baseline for baseline in baselines_of(application(app.name), app) if baseline.name == method]
     return baseline.fit(tasks, Generator().manual_seed(0), CostLimits(64, 1))
 
 
-def errors_of(app: ExemplarApp, exemplar: Tensor) -> dict[str, float]:
+def errors_of(app: Texture, exemplar: Tensor) -> dict[str, float]:
     """Return the errors of blending and quilting an exemplar, by method."""
     tasks = stack_tasks(app, [Task("exemplar", {"image": (255 * exemplar).round().to(torch.uint8)})])
     with torch.no_grad():
@@ -159,14 +159,17 @@ def errors_of(app: ExemplarApp, exemplar: Tensor) -> dict[str, float]:
         }
 
 
-def test_errors_are_level_with_quilting_on_noise_and_higher_on_bricks(app: ExemplarApp) -> None:
-    noise, bricks = errors_of(app, draw_clouds(app.octaves.width, 1)), errors_of(app, draw_bricks(app.octaves.width))
+def test_errors_are_level_with_quilting_on_noise_and_higher_on_bricks(app: Texture) -> None:
+    noise, bricks = (
+        errors_of(app, draw_clouds(app.decoder.octaves.width, 1)),
+        errors_of(app, draw_bricks(app.decoder.octaves.width)),
+    )
     assert noise["blending"] == pytest.approx(noise["quilting"], rel=0.25)
     assert bricks["blending"] > 1.2 * bricks["quilting"]
 
 
-def test_a_fit_keeps_the_exemplar_and_makes_any_size(app: ExemplarApp) -> None:
-    image = (255 * draw_clouds(app.octaves.width)).to(torch.uint8)
+def test_a_fit_keeps_the_exemplar_and_makes_any_size(app: Texture) -> None:
+    image = (255 * draw_clouds(app.decoder.octaves.width)).to(torch.uint8)
     blending = fit(app, "blending", stack_tasks(app, [Task("clouds", {"image": image})]))
     assert blending.kept_numbers == blending.kept_bytes == image.numel()
     assert blending.asset is not None

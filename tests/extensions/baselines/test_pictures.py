@@ -14,7 +14,7 @@ from metapp.appearance.flash import camera_position, relighting_positions
 from metapp.appearance.latlong import texel_directions
 from metapp.appearance.quilting import cut_mask
 from metapp.appearance.svbrdf_maps import Maps
-from metapp.apps.exemplar.app import JUDGED_PICTURES
+from metapp.apps.exemplar.exemplar_sight import JUDGED_PICTURES
 from metapp.apps.illumination.mirror import MirrorLight
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
@@ -145,7 +145,7 @@ def material(pattern: Tensor | None = None) -> Maps:
 
 def task_of(app: SvbrdfStationary, maps: Maps) -> Task:
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
-        return (255 * app.statistics.photograph(maps, light, view)).round().to(torch.uint8)
+        return (255 * app.judge.photograph(maps, light, view)).round().to(torch.uint8)
 
     relit = torch.stack([as_bytes(*pair) for pair in relighting_positions().values()])
     return Task("known", {"image": as_bytes(camera_position(), camera_position()), "relit": relit})

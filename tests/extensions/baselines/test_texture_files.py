@@ -7,7 +7,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.assets import Texture
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.apps.texture.app import compose_texture
 from metapp.extensions.baselines.baseline import BaselineFit, CostLimits
 from metapp.extensions.baselines.texture import Blending, Quilting
 from metapp.learning.app import stack_tasks
@@ -15,7 +15,7 @@ from metapp.learning.task import Task
 from metapp.networks.quilted import LightGrid
 from tests.recipe_apps import app_by_recipe
 
-APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=1)
+APP = compose_texture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=1)
 PHOTO_SIDE = 192  # three px for each px of the exemplar
 METHODS = (Quilting, Blending)
 
@@ -56,7 +56,7 @@ def test_files_have_the_asked_size_and_tile(method: type[Quilting], size: tuple[
 def test_quilts_are_copies_at_the_resolution_of_the_photo(size: tuple[int, int] | None) -> None:
     """Most windows of a file, finer than an exemplar shows, stand in the photograph without its slow light."""
     image = draw_checks(PHOTO_SIDE, 6)
-    picture, photo = draw_file(Quilting, image, size), APP.take_even_photo(image)
+    picture, photo = draw_file(Quilting, image, size), APP.judge.take_even_photo(image)
     windows = photo.unfold(1, 9, 1).unfold(2, 9, 1).permute(1, 2, 0, 3, 4).flatten(2).flatten(0, 1)
     rng = Generator().manual_seed(1)
     rows, columns = (torch.randint(side - 9, (60,), generator=rng).tolist() for side in picture.shape[1:])

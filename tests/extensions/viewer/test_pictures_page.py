@@ -15,9 +15,9 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.appearance.pictures import Picture
-from metapp.apps.exemplar.app import FILE_SIDE_TIMES
+from metapp.apps.exemplar.exemplar_codec import FILE_SIDE_TIMES
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.texture.app import Texture
+from metapp.apps.texture.app import compose_texture
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.scene_renderer import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
@@ -34,7 +34,7 @@ from tests.recipe_apps import asset_of, fit_of
 
 SIZE = 32
 WHOLE = FILE_SIDE_TIMES * SIZE
-SHOWN = Texture(UNet(8, 3, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1",)))
+SHOWN = compose_texture(UNet(8, 3, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1",)))
 
 
 def theta_of(seed: int = 0) -> Params:

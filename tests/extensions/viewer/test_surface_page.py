@@ -26,7 +26,7 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.multi_photo.recipe import of_several
-from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary, compose_svbrdf
 from metapp.extensions.viewer.pages.flat import make_surface_view
 from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
@@ -47,7 +47,7 @@ def seeded(seed: int = 0) -> Generator:
 @functools.cache
 def stationary() -> tuple[SvbrdfStationary, Params, Task]:
     """A random generator's maps."""
-    app = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIDE, SIDE, ("relu1_1",)))
+    app = compose_svbrdf(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIDE, SIDE, ("relu1_1",)))
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
     return app, theta, Task("cloth", {"image": photo})
