@@ -24,7 +24,7 @@ from metapp.cli.command_process import run_command
 from metapp.evaluation.error_statistics import compare_errors
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, save_figure
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import TrainingTasks, judge_prediction
+from metapp.extensions.baselines.baseline import TrainingTasks
 from metapp.extensions.baselines.baseline_fits import cost_limits_of, read_training_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -94,7 +94,7 @@ def _errors_of_baselines(
     for task in tasks:
         stacked = stack_tasks(app, [task])
         prediction = baseline.fit(stacked, rng_of(spec, task), cost_limits).prediction()
-        errors[task.name] = app.error_measure.scale * float(judge_prediction(app, prediction, stacked)["error"])
+        errors[task.name] = app.error_measure.scale * float(app.errors_of(prediction, stacked)["error"])
     return errors
 
 

@@ -75,20 +75,6 @@ def photo_error_percent(compared: PictureComparison) -> float:
     return float(differences.double().mean()) * 100 / 255 if len(differences) else 0.0
 
 
-class VisibleData(NamedTuple):
-    """The amount of a task's data that a fit may see.
-
-    Attributes:
-        sample_count: number of samples that a fit draws from; 1 if each step sees all there is.
-        sample_bytes: size of one sample as data sets keep it, in bytes.
-        encoder_samples: number of these samples that General's encoder reads.
-    """
-
-    sample_count: int
-    sample_bytes: int
-    encoder_samples: int
-
-
 class TimedFit(NamedTuple):
     """A fit of one task, and how long it took.
 

@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 from torch import Tensor
 
 from metapp.appearance.assets import Asset
-from metapp.appearance.pictures import PictureComparison, TimedFit, VisibleData
+from metapp.appearance.pictures import PictureComparison, TimedFit
 from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, Tasks
@@ -147,7 +147,3 @@ class Presenter(Generic[PresentedApp]):
             tasks: the T tasks that were fitted.
         """
         return [[] for _ in range(len(tasks))]
-
-    def visible(self, task: Task) -> VisibleData | None:
-        """Return how much of a task a fit may see; None if the application does not say."""
-        return None

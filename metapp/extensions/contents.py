@@ -189,6 +189,6 @@ def viewer(registry: Registry) -> None:
     registry.methods["view"] = Lazy(f"{here}.runs_page:write_fit_page")
     registry.pages["reflectance"] = Lazy(f"{here}.pages.brdf:make_reflectance_page")
     registry.pages["radiance"] = Lazy(f"{here}.pages.illumination:make_radiance_page")
-    registry.pages["path density"] = Lazy(f"{here}.pages.transport:make_path_density_page")
+    registry.pages["path guide"] = Lazy(f"{here}.pages.transport:make_path_guide_page")
     registry.pages["surface"] = Lazy(f"{here}.pages.flat:make_surface_page")
     registry.pages["texture"] = Lazy(f"{here}.pages.flat:make_texture_page")

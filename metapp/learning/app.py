@@ -1,21 +1,20 @@
-"""The contract of an application: a network, the samples it is fitted to, and the distance that says how well it fits.
+"""An application: what a fit's parameters mean, what a fit sees, how it is judged, and how General predicts it.
 
-Learning needs these methods and nothing else, so that an application runs in a notebook without the command line.
-Applications fulfil the contract by components, see :mod:`metapp.learning.composed`.
-What people look at, such as pictures and surfaces, is made elsewhere, by `metapp.appearance.presenter.Presenter`.
+Learning needs these methods and nothing else, so that an application runs in a notebook without the command line. What
+people look at is made elsewhere: of assets, see :mod:`metapp.appearance.assets`.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
+from metapp.learning.components import Decoder, Encoder, Judge, Sight, name_tensors
 from metapp.learning.task import RESERVED_TENSORS, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 
@@ -46,19 +45,22 @@ class ErrorMeasure:
 
 
 @dataclass(frozen=True)
-class App(ABC):
-    """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
+class App:
+    """An application: a decoder, a sight, a judge and an encoder.
 
-    Methods that take fits or tasks are batched: parameters and batches have a leading task axis T. Every application
-    defines the abstract methods; the other methods have defaults. A recipe holds an application; all sizes are fields
-    of it, so that two applications with equal fields are equal. A subclass with fields of its own is a frozen
-    dataclass, too.
+    A subclass states the name, the error measure and the tensors of tasks, and how training tasks are augmented. A
+    recipe holds an application; all sizes are fields of it and of its components, so that two applications with equal
+    fields are equal.
 
-    What :meth:`prepare` returns of each task is stacked: methods that take `tasks` find a tensor of the T selected
-    tasks as `tasks.data[name][tasks.rows]`. An application that has baselines defines `errors_of(prediction, tasks)`,
-    too: it measures a prediction that need not come from the network, and :meth:`errors` calls it.
+    Methods that take fits or tasks are batched: parameters and batches have a leading task axis T. What :meth:`prepare`
+    returns of each task is stacked: methods that take `tasks` find a tensor of the T selected tasks as
+    `tasks.data[name][tasks.rows]`.
 
     Attributes:
+        decoder: the meaning of parameters.
+        sight: what a fit sees.
+        judge: the truth, and how answers are judged by it.
+        encoder: General's encoder.
         name: the application's name on the command line.
         error_measure: the meaning and the scale of the errors that `errors` returns.
         tensors: the form of each tensor of a task, by the tensor's name.
@@ -66,6 +68,11 @@ class App(ABC):
             that compiling the inner step pays in training.
         deterministic: whether a fit observes nothing random, so that a second fit would give the first one's result.
     """
+
+    decoder: Decoder[Any, Any]
+    sight: Sight[Any, Any]
+    judge: Judge[Any, Any, Any]
+    encoder: Encoder[Any]
 
     name: ClassVar[str]
     error_measure: ClassVar[ErrorMeasure]
@@ -76,23 +83,25 @@ class App(ABC):
     @property
     def observes(self) -> str:
         """What fits observe of a task, a value of --observe; "" if all fits of the application observe the same."""
-        return ""
+        return self.sight.observes
 
     @property
     def is_periodic(self) -> bool:
         """Whether parameters on a grid continue at the opposite edge, which some update rules ask for."""
-        return False
+        return self.decoder.is_periodic
 
     @property
     def linear_parameter(self) -> str:
         """The name of a parameter [C, F] in which the network's output is linear; "" if there is none."""
-        return ""
+        return self.decoder.linear_parameter
 
     @property
     def encoder_settings(self) -> tuple[object, ...]:
-        """The settings by which applications can share a checkpoint of General: those with equal ones do."""
-        # named tuples of different types are equal where their fields are
-        return tuple((type(value), value) for value in (getattr(self, field.name) for field in fields(self)))
+        """The settings by which applications can share a checkpoint of General: those with equal ones do.
+
+        Sights may differ, since General's outer loss is the judge's.
+        """
+        return self.decoder, self.encoder, self.judge
 
     @property
     def full_name(self) -> str:
@@ -116,22 +125,23 @@ class App(ABC):
             device: the device on which fits take their steps: the precision of steps there is then one of the
                 conditions, `precision`, unless it is float32 throughout. None returns the conditions of errors alone.
         """
-        return {}
+        return self.encoder.recorded_conditions(device)
 
-    @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Prepare one task for fitting, once, and return tensors without a task axis, by name.
+        """Prepare what a fit sees of a task and, if the task has one, the truth, by the names of their fields.
 
-        Tasks that are fitted together must have tensors of equal shapes.
+        Tensors have no task axis. Tasks that are fitted together must have tensors of equal shapes.
         """
+        seen, truth = name_tensors(self.sight.prepare(task, self.decoder)), self.judge.prepare(task, self.decoder)
+        return seen if truth is None else seen | name_tensors(truth)
 
-    @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
         """Draw random network parameters for `count` tasks; each tensor is [count, ...]."""
+        return self.decoder.init(rng, count)
 
     def task_parameters(self, tasks: Tasks) -> Params:
         """Return parameters [T, ...] that tasks determine: constants of fits, or first values of what they learn."""
-        return {}
+        return self.sight.task_parameters(tasks, self.decoder)
 
     @property
     def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
@@ -139,11 +149,11 @@ class App(ABC):
 
         Letters in them stand for sizes that differ from task to task, such as the number of a task's photographs.
         """
-        return {}
+        return self.sight.task_parameter_specs
 
-    @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `count` random samples of each task from the part that a fit may observe; tensors are [T, ...]."""
+        return name_tensors(self.sight.sample(tasks, rng, count))
 
     def coarsen(self, tasks: Tasks, done: float) -> Tasks:
         """Return the tasks as a descent observes them at some share of its steps, for example coarse tasks first.
@@ -152,9 +162,8 @@ class App(ABC):
             tasks: the complete tasks.
             done: the share of the steps that were taken, in [0, 1].
         """
-        return tasks
+        return self.sight.coarsen(tasks, done)
 
-    @abstractmethod
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Compute the inner loss of each task, [T].
 
@@ -163,47 +172,53 @@ class App(ABC):
             batch: samples [T, ...] that :meth:`sample` drew.
             loss_parameters: the values [T, ...] that a rule has learned; {} gives the plain loss.
         """
+        seen = self.sight.read(batch)
+        return self.sight.loss(self.decoder.decode_for_steps(theta, seen), seen, loss_parameters)
 
     def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values [steps, ...] of the loss parameters that a rule may learn, by name."""
-        return {}
+        return self.sight.initial_loss_parameters(steps)
 
     def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
         """Return least squares near the inner loss in the parameter :attr:`linear_parameter`.
 
         It is called only for applications that have one. See :meth:`loss` for the arguments.
         """
-        raise NotImplementedError
+        return self.sight.least_squares(self.decoder, theta, self.sight.read(batch), loss_parameters)
 
     @property
     def has_outer_loss(self) -> bool:
         """Whether the outer loss is a function of its own; else it is the inner loss of other samples."""
-        return type(self).outer_loss is not App.outer_loss
+        return not self.judge.trains_by_sight
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Draw `count` samples of each task for the outer loss; tensors are [T, ...].
-
-        By default they are drawn like samples of fits. See :meth:`sample`.
-        """
-        return self.sample(tasks, rng, count)
+        """Draw what the judge compares. Unless the judge trains by the sight, draw what a step of a fit sees, too."""
+        drawn = name_tensors(self.judge.sample(tasks, rng, count))
+        return drawn if self.judge.trains_by_sight else self.sample(tasks, rng, count) | drawn
 
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Compute the outer loss of each fit, [T].
 
-        The default is the inner loss, for training tasks that contain no more than a fit may observe. See
-        :meth:`loss` for the arguments.
+        Args:
+            theta: the fits [T, ...].
+            batch: what :meth:`outer_sample` drew.
+            loss_parameters: the values [T, ...] that a rule has learned, which inner losses of other samples read.
         """
-        return self.loss(theta, batch, loss_parameters)
+        if self.judge.trains_by_sight:
+            return self.loss(theta, batch, loss_parameters)
+        seen = self.sight.read(batch)
+        return self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, self.judge.read(batch))
 
-    @abstractmethod
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of General's encoder."""
+        return self.encoder.init(rng, self.decoder)
 
-    @abstractmethod
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the input of General's encoder for each task (I in the paper); tensors are [T, ...]."""
+        count = self.encoder.samples
+        seen = self.sight.gather(tasks) if count is None else self.sight.sample(tasks, rng, count)
+        return self.encoder.select_input(seen)
 
-    @abstractmethod
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Predict network parameters [T, ...] in one forward pass of the encoder.
 
@@ -211,6 +226,7 @@ class App(ABC):
             encoder: the parameters of the encoder.
             encoder_input: the input [T, ...] of the encoder for each task, from :meth:`encoder_input`.
         """
+        return self.encoder(encoder, encoder_input, self.decoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Return as many augmented tasks, each a random variation of one of the tasks; for training only."""
@@ -223,9 +239,18 @@ class App(ABC):
             theta: the fits.
             tasks: the fitted tasks; None for parameters that were not fitted, of which only names and shapes count.
         """
-        return theta
+        return self.decoder.postprocess(theta)
 
-    @abstractmethod
+    def prediction(self, theta: Params, seen: Any) -> Any:
+        """Return what is shown and judged of fits [T, ...]; see :meth:`metapp.learning.components.Sight.complete`.
+
+        Args:
+            theta: fits [T, ...].
+            seen: what the fits saw, from `sight.gather`.
+        """
+        return self.sight.complete(self.decoder(theta, seen), seen)
+
+    @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Measure errors [T], by name, on the part of each task that fits never observe.
 
@@ -233,6 +258,19 @@ class App(ABC):
             The error of tables as "error", without the scale of :attr:`error_measure`, and further errors; {} if the
             tasks contain no reference to compare with.
         """
+        truth = self.judge.gather(tasks)
+        if truth is None:
+            return {}
+        return self.errors_of(self.judge.query(self.prediction(theta, self.sight.gather(tasks)), truth), tasks)
+
+    def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
+        """Measure predictions of fits or baselines, see :meth:`metapp.learning.components.Judge.errors`.
+
+        Returns:
+            Errors [T] by name; {} if the tasks have no truth.
+        """
+        truth = self.judge.gather(tasks)
+        return {} if truth is None else self.judge.errors(prediction, self.sight.gather(tasks), truth)
 
 
 def stack_tasks(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

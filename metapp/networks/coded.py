@@ -12,7 +12,7 @@ from typing import Any
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.learning.composed import Encoder
+from metapp.learning.components import Encoder
 from metapp.learning.learn import expand_tasks
 from metapp.learning.task import Batch, Params, select_prefixed
 from metapp.networks.field import LocalField, regrid

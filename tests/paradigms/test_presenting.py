@@ -48,7 +48,7 @@ def test_titles_and_measures_of_tables_are_single_lines(
         assert line
         assert line == " ".join(line.split())
     assert presenter.picture_measure == " ".join(presenter.picture_measure.split())
-    visible = presenter.visible(sources[0])
+    visible = app.sight.describe_visible(sources[0])
     if visible:
         assert visible.sample_count >= 1
         assert visible.sample_bytes > 0

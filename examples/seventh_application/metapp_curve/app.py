@@ -18,8 +18,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu
 from typing_extensions import override
 
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp, Decoder, Encoder, Judge, Sight
+from metapp.learning.app import App, ErrorMeasure
+from metapp.learning.components import Decoder, Encoder, Judge, Sight
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 WIDTH, SAMPLES = 12, 32
@@ -131,7 +131,7 @@ class LinearEncoder(Encoder[SeenSamples]):
 
 
 @dataclass(frozen=True)
-class Curve(ComposedApp):
+class Curve(App):
     """The application of curves, which names its components."""
 
     decoder: CurveNetwork = field(default_factory=CurveNetwork)

@@ -19,13 +19,12 @@ from metapp.apps.brdf.held_out_judge import HeldOutJudge
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.apps.brdf.sample_augmentation import mix_brdfs
 from metapp.apps.brdf.sample_sight import DistinctSampleSight, SampleSight
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Params, Tasks, TensorSpec
 
 
 @dataclass(frozen=True)
-class Brdf(ComposedApp):
+class Brdf(App):
     """The application of BRDFs: a task is one measured or modelled material.
 
     If a material is anisotropic, a network that does not read phi_h fits the mean over phi_h.

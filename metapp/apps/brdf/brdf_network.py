@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.geometry import half_difference_and_cosine
-from metapp.learning.composed import Decoder, Encoder
+from metapp.learning.components import Decoder, Encoder
 from metapp.learning.task import Batch, Params, Tasks, add_task_axis
 from metapp.registry import registry
 

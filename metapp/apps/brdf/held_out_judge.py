@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.apps.brdf.brdf_network import BrdfNetwork, ReflectanceFunction, ReflectanceSamples, gather_samples
-from metapp.learning.composed import Judge
+from metapp.learning.components import Judge
 from metapp.learning.task import Task, Tasks
 
 

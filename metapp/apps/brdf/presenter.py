@@ -14,7 +14,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import composite_to_srgb
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
@@ -106,12 +106,6 @@ class BrdfPresenter(Presenter[Brdf]):
         samples = torch.expm1(target) / where[:, 6:7].clamp_min(1e-4)
         pairs = zip(self.app.network.reflectance(theta, where).clamp_min(0), samples, strict=True)
         return [collapsed_fit_warnings(fit, material) for fit, material in pairs]
-
-    @override
-    def visible(self, task: Task) -> VisibleData:
-        angles, reflectance = task.data["angles"], task.data["reflectance"]
-        # the first half of the samples, three angles and a colour each
-        return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, self.app.encoder.samples)
 
 
 def describe_highlight(theta: Params, task: Task) -> str:

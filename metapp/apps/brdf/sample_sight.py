@@ -20,13 +20,14 @@ from metapp.apps.brdf.brdf_network import (
     DistinctSamples,
     ReflectanceFunction,
     ReflectanceSamples,
+    SampleEncoder,
     gather_samples,
     opponent_axes,
     put_distinct_first,
 )
 from metapp.apps.brdf.highlight import MANY_SAMPLES
 from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS, sample_weights
-from metapp.learning.composed import Sight
+from metapp.learning.components import Sight, VisibleData
 from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import LeastSquares, Params, Task, Tasks
@@ -39,6 +40,12 @@ class SampleSight(Sight[ReflectanceFunction, Any]):
     """The sight of random samples of the first half of each task's."""
 
     seen_type: ClassVar[type[Any]] = ReflectanceSamples
+
+    @override
+    def describe_visible(self, task: Task) -> VisibleData:
+        """Return how many samples steps draw from: the first half, three angles and a colour each."""
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, SampleEncoder.samples)
 
     @override
     def prepare(self, task: Task, decoder: BrdfNetwork) -> Any:

@@ -20,7 +20,7 @@ from metapp.appearance.features import feature_conditions
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import QUILT_NAMES, select_quilts
-from metapp.learning.composed import Decoder, Encoder
+from metapp.learning.components import Decoder, Encoder
 from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import add_decoder, join_encoder

@@ -19,7 +19,7 @@ from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.exemplar_codec import JUDGED_SEED, fixed_noise
 from metapp.apps.exemplar.exemplar_statistics import Statistics, gather_known, turn_picture
 from metapp.apps.exemplar.quilts import QUILT_NAMES, choose_quilt, resize_tile
-from metapp.learning.composed import Sight
+from metapp.learning.components import Sight, VisibleData
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.quilted import fetch_pieces
@@ -45,6 +45,11 @@ class ExemplarSight(Sight[Any, Batch]):
     noise_channels: int
     candidates: int = 0
     min_crop_share: float = 1.0
+
+    @override
+    def describe_visible(self, task: Task) -> VisibleData:
+        """Return what steps see, all of the exemplar, which General's encoder reads, too."""
+        return VisibleData(1, task.data["image"].nbytes, 1)
 
     def take_exemplar(self, task: Task) -> Tensor:
         """Return the exemplar of a task, [1, 3, H, W], display values in [0, 1]."""

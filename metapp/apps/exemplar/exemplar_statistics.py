@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from metapp.appearance.features import moments
 from metapp.apps.exemplar.octaves import Crop, Octaves
-from metapp.learning.composed import Judge
+from metapp.learning.components import Judge
 from metapp.learning.task import Batch, Task, Tasks
 
 

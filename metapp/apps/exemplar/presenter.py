@@ -16,7 +16,6 @@ from typing_extensions import override
 from metapp.appearance.doubts import BROKEN_LINES_OF_TEXTURE, LOST_ORDER, REPETITION, VISIBLE_CUTS, Doubt
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import compare_lines
-from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings
 from metapp.learning.task import Params, Task, Tasks, add_task_axis
@@ -42,10 +41,6 @@ class ExemplarPresenter(Presenter[Any]):
         is_possible = all(smallest <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
         multiples = f"multiples of {step} from " if step > 1 else ""
         return "" if is_possible else f"expects {multiples}{smallest} to {LARGEST_PX}"
-
-    @override
-    def visible(self, task: Task) -> VisibleData:
-        return VisibleData(1, task.data["image"].nbytes, 1)  # each step and the encoder see all of the exemplar
 
     @torch.no_grad()
     def generate_shown(self, theta: Params) -> Any:

@@ -21,8 +21,7 @@ from metapp.apps.illumination.map_augmentation import vary_maps
 from metapp.apps.illumination.radiance_losses import describe_maps
 from metapp.apps.illumination.relit_judge import RelitJudge
 from metapp.apps.illumination.spheres import SPHERE_NAMES
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Task, Tasks, TensorSpec
 from metapp.rendering.second_scene import relighting
 
@@ -30,7 +29,7 @@ DEFAULT_READ_ROWS = 64  # rows to which readers resample files of maps unless th
 
 
 @dataclass(frozen=True)
-class Illumination(ComposedApp):
+class Illumination(App):
     """The application of illumination: a task is one environment map of mean luminance 1, or a photographed ball."""
 
     decoder: LightField

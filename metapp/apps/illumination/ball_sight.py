@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import PictureComparison
 from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
@@ -31,6 +31,7 @@ from metapp.apps.illumination.mirror import (
     shows_mirror,
 )
 from metapp.apps.illumination.radiance_losses import INITIAL_SMOOTHING, TrueMap
+from metapp.learning.components import VisibleData
 from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task
 

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 from torch import Tensor
 
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import PictureComparison
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.radiance_losses import TrueMap
-from metapp.learning.composed import Sight
+from metapp.learning.components import Sight
 from metapp.learning.task import Task
 
 Seen = TypeVar("Seen")
@@ -44,7 +44,3 @@ class LightSight(Sight[Lighting, Seen]):
     def compare_photo(self, answer: Lighting, seen: Any) -> PictureComparison | None:
         """Return the answer of one fit beside the photograph that it saw. The default is None."""
         return None
-
-    @abstractmethod
-    def describe_visible(self, task: Task) -> VisibleData:
-        """Return what steps and General's encoder see of a task."""

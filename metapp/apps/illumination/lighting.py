@@ -17,7 +17,7 @@ from typing_extensions import override
 from metapp.appearance.latlong import texel_directions
 from metapp.appearance.photograph import CameraCurves, SphereMaterials, develop, render_material_spheres
 from metapp.apps.illumination.suns import add_suns, join_suns
-from metapp.learning.composed import Decoder
+from metapp.learning.components import Decoder
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
 

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.pictures import VisibleData
 from metapp.apps.illumination.light_sight import LightSight
 from metapp.apps.illumination.lighting import LightField, Lighting
 from metapp.apps.illumination.map_augmentation import normalise_luminance
@@ -23,6 +22,7 @@ from metapp.apps.illumination.radiance_losses import (
     prepare_map,
 )
 from metapp.apps.illumination.suns import SUN_SPECS, find_suns, split_suns
+from metapp.learning.components import VisibleData
 from metapp.learning.rounding import initial_smoothing
 from metapp.learning.task import Params, Task, Tasks, TensorSpec
 

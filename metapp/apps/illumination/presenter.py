@@ -10,7 +10,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.illumination.app import Illumination
@@ -97,7 +97,3 @@ class IlluminationPresenter(Presenter[Illumination]):
             return super().quality_warnings(theta, tasks)
         pairs = zip(self.app.decoder(theta).maps, truth.map, strict=True)
         return [collapsed_fit_warnings(fit, reference) for fit, reference in pairs]
-
-    @override
-    def visible(self, task: Task) -> VisibleData:
-        return self.app.sight.describe_visible(task)

@@ -18,7 +18,7 @@ from metapp.apps.illumination.radiance_losses import (
     prepare_map,
 )
 from metapp.apps.illumination.spheres import FACING_SURFACES, MIRRORING_SURFACES, sphere_errors
-from metapp.learning.composed import Judge
+from metapp.learning.components import Judge
 from metapp.learning.task import Task
 from metapp.rendering.second_scene import relighting
 

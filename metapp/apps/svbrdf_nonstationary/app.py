@@ -20,15 +20,14 @@ from metapp.apps.svbrdf_nonstationary.map_judge import MapJudge
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, pool_maps, scale_size
 from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, photographed_size
 from metapp.apps.svbrdf_nonstationary.photographed_maps import MaterialAnswer, MaterialDecoder
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Params, Task, Tasks, TensorSpec, add_task_axis
 
 FINEST_PX = 2048  # longest side at which a user's photograph is read
 
 
 @dataclass(frozen=True)
-class SvbrdfNonstationary(ComposedApp):
+class SvbrdfNonstationary(App):
     """The application of non-stationary svBRDFs: a task is one flat material, photographed with a flash.
 
     A task has `photo`, taken from straight above with the flash beside the lens, maybe `others`, further photographs,

@@ -19,7 +19,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     map_differences,
     pool_maps,
 )
-from metapp.learning.composed import Judge
+from metapp.learning.components import Judge
 from metapp.learning.task import Task, Tasks
 
 RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below

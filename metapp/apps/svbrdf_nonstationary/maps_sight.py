@@ -10,7 +10,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
-from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps, fixed_pairs, log_radiance
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo, map_differences, pool_maps
@@ -18,6 +17,7 @@ from metapp.apps.svbrdf_nonstationary.material_sight import MaterialSight, draw_
 from metapp.apps.svbrdf_nonstationary.photo_sight import SMOOTHING, compare_maps
 from metapp.apps.svbrdf_nonstationary.photographed_maps import PhotographedMaps
 from metapp.apps.svbrdf_nonstationary.variants import draw_photos
+from metapp.learning.components import VisibleData
 from metapp.learning.rounding import initial_smoothing, smooth_absolute
 from metapp.learning.task import Params, Task, Tasks
 

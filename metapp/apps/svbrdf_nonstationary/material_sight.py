@@ -8,14 +8,13 @@ from typing import Any
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.appearance.uniform import black_fit_warnings
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import pool_maps
 from metapp.apps.svbrdf_nonstationary.photographed_maps import Answer, Seen
 from metapp.apps.svbrdf_nonstationary.variants import vary_materials
-from metapp.learning.composed import Sight
+from metapp.learning.components import Sight, VisibleData
 from metapp.learning.task import Task, Tasks
 
 # Augmented materials are photographed PHOTOGRAPHED_TIMES times as fine as fits' maps, up to this side.
@@ -75,6 +74,7 @@ class MaterialSight(Sight[Answer, Seen]):
         pairs = zip(maps.diffuse + maps.specular, seen.photo, strict=True)
         return [black_fit_warnings(colours, photo) for colours, photo in pairs]
 
+    @override
     def describe_visible(self, task: Task) -> VisibleData:
         """Return what steps see, the photograph, which General's encoder reads, too."""
         return VisibleData(1, task.data["photo"].nbytes, 1)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from metapp.appearance.svbrdf_maps import Maps
 from metapp.apps.svbrdf_nonstationary.flashes import Flash, render_photo
-from metapp.learning.composed import Decoder
+from metapp.learning.components import Decoder
 from metapp.learning.task import Params
 
 

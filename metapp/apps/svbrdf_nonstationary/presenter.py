@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from metapp.appearance.assets import Surface
 from metapp.appearance.colour import linear_to_srgb, radiance_to_display, srgb_to_linear
-from metapp.appearance.pictures import PictureComparison, VisibleData
+from metapp.appearance.pictures import PictureComparison
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import map_pictures
 from metapp.appearance.svbrdf_maps import unpack_maps
@@ -107,10 +107,6 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         seen = self.app.sight.gather(tasks)
         return self.app.sight.quality_warnings(self.app.decoder(theta, seen), seen)
-
-    @override
-    def visible(self, task: Task) -> VisibleData:
-        return self.app.sight.describe_visible(task)
 
     def _shown_side(self, task: Task) -> int:
         """Return the shorter side of maps and photographs that are shown, in px."""

@@ -25,13 +25,12 @@ from metapp.apps.svbrdf_stationary.material_codec import (
     display,
     unpack_layers,
 )
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Params, Task, Tasks, TensorSpec
 
 
 @dataclass(frozen=True)
-class SvbrdfStationary(ComposedApp):
+class SvbrdfStationary(App):
     """The application of stationary svBRDFs: a task is one flash photograph of a flat stationary material."""
 
     decoder: MaterialDecoder

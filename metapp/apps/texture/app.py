@@ -21,8 +21,7 @@ from metapp.apps.exemplar.exemplar_sight import ExemplarSight
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.texture_codec import LightEncoder, TextureAnswer, TextureDecoder
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.quilted import colour_moments, subtract_trend
 
@@ -82,7 +81,7 @@ class GramStatistics(Statistics):
 
 
 @dataclass(frozen=True)
-class Texture(ComposedApp):
+class Texture(App):
     """The application of textures: a task is one exemplar of a stationary texture."""
 
     decoder: TextureDecoder

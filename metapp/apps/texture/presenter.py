@@ -6,10 +6,9 @@ compare with the exemplar.
 
 from __future__ import annotations
 
-from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.assets import Texture
 from metapp.appearance.pictures import PictureComparison
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.learning.task import Params, Task
@@ -21,13 +20,14 @@ class TexturePresenter(ExemplarPresenter):
     picture_measure = "a texture of the exemplar's size beside the exemplar"
 
     @override
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        texture, exemplar, _ = self.comparison(theta, task)
-        return {
-            "reference": srgb_to_linear(exemplar[0]).permute(1, 2, 0),
-            "fit": srgb_to_linear(texture[0]).permute(1, 2, 0),
-        }
+    def shown(self, theta: Params, task: Task) -> Texture:
+        """Return the texture at the exemplar's size."""
+        return Texture(self.generate_shown(theta).prediction[0, 0])
+
+    @override
+    def reference(self, task: Task) -> Texture:
+        return Texture(self.app.sight.take_exemplar(task)[0], tiles=False)
 
     @override
     def comparison(self, theta: Params, task: Task) -> PictureComparison:
-        return PictureComparison(self.generate_shown(theta).prediction[0], self.app.sight.take_exemplar(task))
+        return PictureComparison(self.shown(theta, task).pixels[None], self.reference(task).pixels[None])

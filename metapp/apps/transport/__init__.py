@@ -22,7 +22,7 @@ def register(registry: Registry) -> None:
         help="Light transport of a scene: densities that guide its paths.",
         app=Lazy("metapp.apps.transport.app:Transport"),
         options=Lazy("metapp.apps.transport.options:TransportOptions"),
-        assets={"path density": Lazy("metapp.apps.transport.path_density:make_path_density")},
+        assets={"path guide": Lazy("metapp.apps.transport.path_guide:make_path_guide")},
         presenter=Lazy("metapp.apps.transport.presenter:TransportPresenter"),
         synthetic=SyntheticSet(
             "data_tools.synthetic.transport", "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)"

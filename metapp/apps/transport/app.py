@@ -14,8 +14,7 @@ from typing_extensions import override
 
 from metapp.apps.transport.path_fits import FlowDensity, PathJudge, PathSight
 from metapp.apps.transport.scene_encoder import ScenePictureEncoder
-from metapp.learning.app import ErrorMeasure
-from metapp.learning.composed import ComposedApp
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Tasks, TensorSpec
 
@@ -25,7 +24,7 @@ LOG_JITTER = 0.1  # standard deviation of what augmentation adds to the log of a
 
 
 @dataclass(frozen=True)
-class Transport(ComposedApp):
+class Transport(App):
     """The application of light transport: a task is one scene, as samples of its light paths.
 
     The fields beside the components are about pictures alone: no training depends on them, so that checkpoints are the

@@ -15,7 +15,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.apps.transport.flow import Flow
-from metapp.learning.composed import Decoder, Judge, Sight
+from metapp.learning.components import Decoder, Judge, Sight, VisibleData
 from metapp.learning.task import Params, Task, Tasks
 
 OUTER_SAMPLES = 2048  # paths of a training scene that its outer loss sees, at most
@@ -66,6 +66,12 @@ class PathSight(Sight[PathDensity, SeenPaths]):
     """The sight of light paths of a scene: random ones in each step."""
 
     seen_type = SeenPaths
+
+    @override
+    def describe_visible(self, task: Task) -> VisibleData:
+        """Return how many light paths steps draw from; General's encoder reads the picture alone."""
+        samples = task.data["samples"]
+        return VisibleData(len(samples), samples[0].nbytes, 0)
 
     @override
     def prepare(self, task: Task, decoder: FlowDensity) -> SeenPaths:

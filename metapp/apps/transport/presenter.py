@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.pictures import TimedFit, VisibleData
+from metapp.appearance.pictures import TimedFit
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import density_pictures, scene_renderer
 from metapp.apps.transport.app import Transport
-from metapp.apps.transport.path_density import PathDensity
+from metapp.apps.transport.path_guide import PathGuide
 from metapp.learning.task import Params, Task
 
 NEXT_EVENT_NOTE = (
@@ -45,7 +45,7 @@ class TransportPresenter(Presenter[Transport]):
         reference = scene_renderer.renderer_of(task).noisy_reference if "scene" in task.data else None
         return {
             "reference": density_pictures.draw_sample_histograms(task.data["samples"], reference),
-            "fit": PathDensity(self.app, theta, task).preview(),
+            "fit": PathGuide(self.app, theta, task).preview(),
         }
 
     @override
@@ -64,8 +64,3 @@ class TransportPresenter(Presenter[Transport]):
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State that paths have next-event estimation, if the task's samples have."""
         return {"note": NEXT_EVENT_NOTE} if "next_event" in task.data else {}
-
-    @override
-    def visible(self, task: Task) -> VisibleData:
-        samples = task.data["samples"]
-        return VisibleData(len(samples), samples[0].nbytes, 0)  # General's encoder reads the picture alone

@@ -16,7 +16,7 @@ from typing_extensions import override
 from metapp.appearance.latlong import luminance
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.path_fits import FlowDensity, SeenPaths
-from metapp.learning.composed import Encoder
+from metapp.learning.components import Encoder
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense

@@ -109,7 +109,7 @@ def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": steps, "batch": samples if steps else None}
     row = make_row(evaluation, name, [], entries)
-    visible = evaluation.presenter.visible(tasks[0]) if tasks else None
+    visible = evaluation.app.sight.describe_visible(tasks[0]) if tasks else None
     if visible is None:
         return row
     trainings, empty_phi = trainings_of(spec.paradigm, app_of(spec), recipe, spec.rule)[:1], MetaParameters()

@@ -9,7 +9,7 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import NamedTuple
 
 from torch import Generator, Tensor
 
@@ -54,8 +54,8 @@ class BaselineFit(NamedTuple):
     """A baseline's fit of one task.
 
     Attributes:
-        prediction: a function that makes the prediction that :func:`judge_prediction` takes; it is not timed, as the
-            evaluation of a network is not timed either.
+        prediction: a function that makes the prediction that :meth:`metapp.learning.app.App.errors_of` takes; it is not
+            timed, as the evaluation of a network is not timed either.
         kept_numbers: how many numbers are kept for the task.
         kept_bytes: how many bytes these numbers take.
         asset: a function that makes the asset of the task for people, at a height and width in px, or None for the
@@ -114,18 +114,6 @@ class Baseline(ABC):
             rng: the generator of all random draws.
             allowed: how many samples and bytes the fit may use.
         """
-
-
-class JudgingApp(Protocol):
-    """An application that judges baselines: `errors` measures its own fits by `errors_of`, too."""
-
-    def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Return the measures [T] that `App.errors` has, of the application's own maps, pictures or densities."""
-
-
-def judge_prediction(app: App, prediction: object, tasks: Tasks) -> dict[str, Tensor]:
-    """Measure a prediction that does not come from the application's network by the measures [T] that fits have."""
-    return cast(JudgingApp, app).errors_of(prediction, tasks)
 
 
 def tensor_bytes(*tensors: Tensor) -> int:

@@ -24,7 +24,6 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     CostLimits,
     TrainingTasks,
-    judge_prediction,
     tensor_bytes,
 )
 from metapp.learning.app import App, stack_tasks
@@ -124,7 +123,7 @@ def fit_baselines(
             answer = baseline.fit(prepared_task, rng, allowed)
             seconds = time.perf_counter() - start
             prediction = answer.prediction()
-            errors = {key: float(value[0]) for key, value in judge_prediction(app, prediction, prepared_task).items()}
+            errors = {key: float(value[0]) for key, value in app.errors_of(prediction, prepared_task).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
             scale, error = app.error_measure.scale, errors.pop("error", None)

@@ -21,7 +21,6 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     CostLimits,
     TrainingTasks,
-    judge_prediction,
     tensor_bytes,
 )
 from metapp.extensions.baselines.components import REFLECTANCE_EPSILON, Components, principal_components
@@ -190,7 +189,7 @@ def mean_error(baseline: Baseline, tasks: Tasks, allowed: CostLimits) -> float:
     for row in range(len(tasks)):
         task = tasks.select([row])
         fit = baseline.fit(task, Generator().manual_seed(row), allowed)
-        total += float(judge_prediction(baseline.app, fit.prediction(), task)["error"])
+        total += float(baseline.app.errors_of(fit.prediction(), task)["error"])
     return total / len(tasks)
 
 

@@ -34,7 +34,6 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.extensions.baselines.blending import blend_tile
 from metapp.learning.app import App
-from metapp.learning.composed import ComposedApp
 from metapp.learning.task import Task, Tasks
 from metapp.networks.quilted import fetch_pieces
 
@@ -49,8 +48,7 @@ def baselines(app: App) -> tuple[Baseline, ...]:
 
 def leave_out_quilts(app: App) -> App:
     """Return an application of exemplars for methods that read no quilts: tasks are prepared without any."""
-    exemplar_app = cast(ComposedApp, app)
-    return replace(exemplar_app, sight=replace(cast(ExemplarSight, exemplar_app.sight), candidates=0))
+    return replace(app, sight=replace(cast(ExemplarSight, app.sight), candidates=0))
 
 
 class NearestExemplar(Baseline):
@@ -66,7 +64,7 @@ class NearestExemplar(Baseline):
 
     @override
     def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:
-        statistics = cast(Statistics, cast(ComposedApp, self.app).judge)
+        statistics = cast(Statistics, self.app.judge)
         data = training.prepared_tasks.data
         self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
         self.pictures = statistics.octaves.take_exemplar(data["image"].float() / 255)

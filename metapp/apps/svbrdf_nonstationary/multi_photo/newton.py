@@ -31,7 +31,6 @@ from metapp.apps.svbrdf_nonstationary.multi_photo.integrability import (
 from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import CURL_ROUNDING, FALLOFF_WEIGHT, PhotoSetSight
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
-from metapp.learning.composed import ComposedApp
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import LearnedRule, append_axes
 from metapp.learning.rules.parts import LossParameters
@@ -126,8 +125,7 @@ GAUSS_NEWTON = LearnedRule("gauss-newton", (Newton(), LossParameters()))
 
 def _find_sight(app: App) -> PhotoSetSight | None:
     """Return what fits of an application see if that is several photographs, else None."""
-    sight = app.sight if isinstance(app, ComposedApp) else None
-    return sight if isinstance(sight, PhotoSetSight) else None
+    return app.sight if isinstance(app.sight, PhotoSetSight) else None
 
 
 def gauss_newton_change(

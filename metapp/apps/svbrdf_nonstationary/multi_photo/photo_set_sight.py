@@ -19,7 +19,6 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.doubts import FLAT_RELIEF, UNEXPLAINED_AREAS, UNEXPLAINED_TEXELS, format_percent
 from metapp.appearance.flash import camera_position
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
-from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.flashes import FLASH_NUMBERS, render_photos
 from metapp.apps.svbrdf_nonstationary.map_judge import RADIANCE_FLOOR, TrueMaps
@@ -38,6 +37,7 @@ from metapp.apps.svbrdf_nonstationary.multi_photo.obstructions import remove_obs
 from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import Heights, find_heights, remove_parallax
 from metapp.apps.svbrdf_nonstationary.multi_photo.photo_sets import draw_photo_sets
 from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelFit, TexelMaps
+from metapp.learning.components import VisibleData
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks, TensorSpec
 

@@ -27,7 +27,7 @@ from metapp.apps.svbrdf_nonstationary.multi_photo.parallax import RELIEF_CHANNEL
 from metapp.apps.svbrdf_nonstationary.multi_photo.photo_set_sight import SeenPhotos
 from metapp.apps.svbrdf_nonstationary.multi_photo.stereo import PHOTO_INPUTS, TEXEL_INPUTS, Reading, read_stereo
 from metapp.apps.svbrdf_nonstationary.multi_photo.texel_maps import TexelMaps
-from metapp.learning.composed import Encoder
+from metapp.learning.components import Encoder
 from metapp.learning.task import Batch, Params
 from metapp.networks.layers import add_layer, apply_convolution
 

@@ -42,7 +42,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.patch import (
     SIDE_STEP_PX,
     load_full_general,
 )
-from metapp.learning.composed import Encoder
+from metapp.learning.components import Encoder
 from metapp.learning.learn import expand_tasks
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_decoder, select_reader

@@ -13,7 +13,6 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.distant_lamps import render_lit
 from metapp.appearance.doubts import UNRELATED_LAMPS
 from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
-from metapp.appearance.pictures import VisibleData
 from metapp.appearance.svbrdf_maps import Maps, mean_tilt_degrees
 from metapp.apps.svbrdf_nonstationary.map_judge import TrueMaps
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
@@ -23,6 +22,7 @@ from metapp.apps.svbrdf_nonstationary.rti.light_curves import curve_weights
 from metapp.apps.svbrdf_nonstationary.rti.light_process import left_out_db, left_out_gain_db
 from metapp.apps.svbrdf_nonstationary.rti.lit_augmentation import draw_lit_texels
 from metapp.apps.svbrdf_nonstationary.rti.lit_photos import LitPhotos
+from metapp.learning.components import VisibleData
 from metapp.learning.rounding import round_absolute
 from metapp.learning.task import Params, Task, Tasks
 

@@ -8,7 +8,7 @@ from torch import Generator
 from typing_extensions import override
 
 from metapp.apps.svbrdf_nonstationary.rti.curve_network import CurveNetwork, LitTexels
-from metapp.learning.composed import Encoder
+from metapp.learning.components import Encoder
 from metapp.learning.task import Batch, Params
 
 

@@ -73,7 +73,7 @@ class RenderingProgress(NamedTuple):
     spp: Tensor
 
 
-def make_path_density_page(fit: Fit) -> View:
+def make_path_guide_page(fit: Fit) -> View:
     """Make the view of a scene: pictures by regular and by guided paths in equal time; densities without a scene."""
     network, task = fit.asset.app.decoder.network, fit.task
     if "scene" in task.data:

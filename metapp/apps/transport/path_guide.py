@@ -15,7 +15,7 @@ from metapp.learning.task import Params, Task
 
 
 @dataclass(frozen=True, eq=False)
-class PathDensity(Asset):
+class PathGuide(Asset):
     """A density of the light paths of a scene over primary sample space.
 
     Attributes:
@@ -24,7 +24,7 @@ class PathDensity(Asset):
         task: the task, with its scene, if it has one.
     """
 
-    kind = "path density"
+    kind = "path guide"
     app: Transport
     theta: Params
     task: Task
@@ -51,6 +51,6 @@ class PathDensity(Asset):
         return density_pictures.draw_flow_density(self.app.decoder.network, self.theta, guided)
 
 
-def make_path_density(app: Transport, theta: Params, task: Task, size: tuple[int, int] | None) -> PathDensity:
+def make_path_guide(app: Transport, theta: Params, task: Task, size: tuple[int, int] | None) -> PathGuide:
     """Return the density of a fit; see :class:`metapp.application.MakeAsset`."""
-    return PathDensity(app, theta, task)
+    return PathGuide(app, theta, task)

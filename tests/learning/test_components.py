@@ -10,21 +10,21 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.sample_sight import DistinctSampleSight, SampleSight
 from metapp.learning.app import stack_tasks
-from metapp.learning.composed import ComposedApp, name_tensors
+from metapp.learning.components import name_tensors
 from metapp.learning.task import Task, Tasks
 from tests.paradigms.small import SMALL_APPLICATIONS, SMALL_PHOTO_APPS, seeded_generator
 
-COMPOSED = {name: small.app for name, small in SMALL_APPLICATIONS.items() if isinstance(small.app, ComposedApp)}
+APPS = {name: small.app for name, small in SMALL_APPLICATIONS.items()}
 
 
 def tasks_of(name: str) -> list[Task]:
     return SMALL_APPLICATIONS[name].tasks()[:2]
 
 
-@pytest.mark.parametrize("name", COMPOSED)
+@pytest.mark.parametrize("name", APPS)
 def test_steps_see_what_the_sight_shows_alone(name: str) -> None:
     """Sights of a varying number of tensors show a dictionary, which has none of the truth."""
-    app = COMPOSED[name]
+    app = APPS[name]
     tasks = stack_tasks(app, tasks_of(name))
     batch = app.sample(tasks, seeded_generator(), 8)
     assert set(batch) == set(name_tensors(app.sight.read(batch)))

@@ -1,4 +1,4 @@
-"""An application made of four components: a decoder, a sight, a judge and an encoder.
+"""The four components of an application: a decoder, a sight, a judge and an encoder.
 
 They answer four questions about the paper's L_theta(x | I). The decoder: what do parameters theta mean? The sight:
 which observations I does a fit see, and how far is an answer from them? The judge: how far is an answer from the truth,
@@ -14,14 +14,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Generator, Tensor
-from typing_extensions import override
 
-from metapp.learning.app import App
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 Answer = TypeVar("Answer")
@@ -33,6 +30,20 @@ def name_tensors(tensors: Any) -> Batch:
     """Return tensors by name: the fields of a named tuple, or a dictionary, for components whose number varies."""
     batch: Batch = tensors if isinstance(tensors, dict) else tensors._asdict()
     return batch
+
+
+class VisibleData(NamedTuple):
+    """The amount of a task's data that a fit may see.
+
+    Attributes:
+        sample_count: number of samples that a fit draws from; 1 if each step sees all there is.
+        sample_bytes: size of one sample as data sets keep it, in bytes.
+        encoder_samples: number of these samples that General's encoder reads.
+    """
+
+    sample_count: int
+    sample_bytes: int
+    encoder_samples: int
 
 
 class Decoder(ABC, Generic[Answer, Seen]):
@@ -117,7 +128,7 @@ class Sight(ABC, Generic[Answer, Seen]):
         return seen
 
     def coarsen(self, tasks: Tasks, done: float) -> Tasks:
-        """Return the tasks as a descent sees them at some share of its steps, see :meth:`App.coarsen`."""
+        """Return tasks as a descent sees them; see :meth:`metapp.learning.app.App.coarsen`. The default keeps them."""
         return tasks
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Seen:
@@ -159,6 +170,10 @@ class Sight(ABC, Generic[Answer, Seen]):
     def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
         """The forms of the parameters that fits have besides those that the decoder draws, or in another shape."""
         return {}
+
+    def describe_visible(self, task: Task) -> VisibleData | None:
+        """Return how much of a task a fit may see. The default, not known, is None."""
+        return None
 
     def complete(self, answer: Answer, seen: Seen) -> Any:
         """Return what is shown and judged of answers: with that which is seen better than it is fitted.
@@ -256,7 +271,7 @@ class Encoder(ABC, Generic[Seen]):
     samples: ClassVar[int | None] = None
 
     def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        """Return the conditions that errors depend on, by name; see :meth:`App.recorded_conditions`."""
+        """Return conditions that errors depend on; see :meth:`metapp.learning.app.App.recorded_conditions`."""
         return {}
 
     @abstractmethod
@@ -276,147 +291,3 @@ class Encoder(ABC, Generic[Seen]):
             encoder_input: the input [T, ...] from :meth:`select_input`.
             decoder: the decoder of the application, which the parameters are for.
         """
-
-
-@dataclass(frozen=True)
-class ComposedApp(App):
-    """An application that fulfils the contract by asking its components.
-
-    A subclass states the name, the error measure and the tensors of tasks, and how tasks are augmented.
-
-    Attributes:
-        decoder: the meaning of parameters.
-        sight: what a fit sees.
-        judge: the truth, and how answers are judged by it.
-        encoder: General's encoder.
-    """
-
-    decoder: Decoder[Any, Any]
-    sight: Sight[Any, Any]
-    judge: Judge[Any, Any, Any]
-    encoder: Encoder[Any]
-
-    @property
-    @override
-    def observes(self) -> str:
-        return self.sight.observes
-
-    @property
-    @override
-    def is_periodic(self) -> bool:
-        return self.decoder.is_periodic
-
-    @property
-    @override
-    def linear_parameter(self) -> str:
-        return self.decoder.linear_parameter
-
-    @property
-    @override
-    def encoder_settings(self) -> tuple[object, ...]:
-        # sights may differ: applications share one General, whose outer loss is the judge's
-        return self.decoder, self.encoder, self.judge
-
-    @override
-    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        return self.encoder.recorded_conditions(device)
-
-    @override
-    def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Prepare what a fit sees and, if the task has one, the truth, by the names of their fields."""
-        seen = name_tensors(self.sight.prepare(task, self.decoder))
-        truth = self.judge.prepare(task, self.decoder)
-        return seen if truth is None else seen | name_tensors(truth)
-
-    @override
-    def init(self, rng: Generator, count: int) -> Params:
-        return self.decoder.init(rng, count)
-
-    @override
-    def task_parameters(self, tasks: Tasks) -> Params:
-        return self.sight.task_parameters(tasks, self.decoder)
-
-    @property
-    @override
-    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        return self.sight.task_parameter_specs
-
-    @override
-    def coarsen(self, tasks: Tasks, done: float) -> Tasks:
-        return self.sight.coarsen(tasks, done)
-
-    @override
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        return name_tensors(self.sight.sample(tasks, rng, count))
-
-    @override
-    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        seen = self.sight.read(batch)
-        return self.sight.loss(self.decoder.decode_for_steps(theta, seen), seen, loss_parameters)
-
-    @override
-    def initial_loss_parameters(self, steps: int) -> Params:
-        return self.sight.initial_loss_parameters(steps)
-
-    @override
-    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
-        return self.sight.least_squares(self.decoder, theta, self.sight.read(batch), loss_parameters)
-
-    @property
-    @override
-    def has_outer_loss(self) -> bool:
-        return not self.judge.trains_by_sight
-
-    @override
-    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """Draw what the judge compares. Unless the judge trains by the sight, draw what a step of a fit sees, too."""
-        drawn = name_tensors(self.judge.sample(tasks, rng, count))
-        return drawn if self.judge.trains_by_sight else self.sample(tasks, rng, count) | drawn
-
-    @override
-    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        if self.judge.trains_by_sight:
-            return self.loss(theta, batch, loss_parameters)
-        seen = self.sight.read(batch)
-        truth = self.judge.read(batch)
-        return self.judge.outer_loss(self.decoder.decode_for_training(theta, seen), seen, truth)
-
-    @override
-    def init_encoder(self, rng: Generator) -> Params:
-        return self.encoder.init(rng, self.decoder)
-
-    @override
-    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
-        count = self.encoder.samples
-        seen = self.sight.gather(tasks) if count is None else self.sight.sample(tasks, rng, count)
-        return self.encoder.select_input(seen)
-
-    @override
-    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
-        return self.encoder(encoder, encoder_input, self.decoder)
-
-    @override
-    def postprocess(self, theta: Params, tasks: Tasks | None = None) -> Params:
-        return self.decoder.postprocess(theta)
-
-    def prediction(self, theta: Params, seen: Any) -> Any:
-        """Return what is shown and judged of fits [T, ...]; see :meth:`Sight.complete`.
-
-        Args:
-            theta: fits [T, ...].
-            seen: what the fits saw, from :meth:`Sight.gather`.
-        """
-        return self.sight.complete(self.decoder(theta, seen), seen)
-
-    @override
-    @torch.no_grad()
-    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        truth = self.judge.gather(tasks)
-        if truth is None:
-            return {}
-        return self.errors_of(self.judge.query(self.prediction(theta, self.sight.gather(tasks)), truth), tasks)
-
-    def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Measure predictions of fits or baselines, see :meth:`Judge.errors`; {} if the tasks have no truth."""
-        truth = self.judge.gather(tasks)
-        return {} if truth is None else self.judge.errors(prediction, self.sight.gather(tasks), truth)
