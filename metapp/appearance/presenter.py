@@ -98,7 +98,8 @@ class Presenter(Generic[PresentedApp]):
 
     def reference(self, task: Task) -> Asset | None:
         """Return the truth as an asset, at the size of :meth:`shown`; None if it is not known."""
-        return None
+        reference: Asset | None = self.app.judge.reference(task)
+        return reference
 
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4]: `fit`, and `reference` or `samples` if the task has them."""

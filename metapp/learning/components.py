@@ -236,6 +236,10 @@ class Judge(ABC, Generic[Answer, Seen, Truth]):
         """Return what :meth:`sample` drew, given the tensors [T, ...] of a batch by name."""
         return self.sampled_type(*(batch[name] for name in self.sampled_type._fields))
 
+    def reference(self, task: Task) -> Any:
+        """Return the truth of a task for people, an asset of the kind of fits. The default, not known, is None."""
+        return None
+
     def query(self, prediction: Any, truth: Truth) -> Any:
         """Return what is judged of completed answers: themselves, or values of functions where the truth is known."""
         return prediction

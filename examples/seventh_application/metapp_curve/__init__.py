@@ -27,8 +27,7 @@ def register(registry: Registry) -> None:
         title="Curve",
         help="Curves: a network of one variable.",
         app=Lazy("metapp_curve.app:Curve"),
-        assets={"curve": Lazy("metapp_curve.plot:make_plot")},
-        presenter=Lazy("metapp_curve.plot:CurvePresenter"),
+        assets={"curve": Lazy("metapp_curve.app:make_plot")},
     )
     for name in ("quick", "paper"):
         curve.recipes[name] = RecipeEntry(f"metapp_curve.recipes:RECIPES.{name}")

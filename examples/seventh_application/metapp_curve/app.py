@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -20,7 +20,8 @@ from typing_extensions import override
 
 from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.components import Decoder, Encoder, Judge, Sight
-from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec, add_task_axis
+from metapp_curve.plot import Plot
 
 WIDTH, SAMPLES = 12, 32
 SHAPES = {"w1": (WIDTH, 1), "b1": (WIDTH, 1), "w2": (1, WIDTH), "b2": (1, 1)}
@@ -93,6 +94,10 @@ class OddJudge(Judge[Function, SeenSamples, HeldOutSamples]):
         return HeldOutSamples(*(values[None, 1::2] for values in sample_curve(task)))
 
     @override
+    def reference(self, task: Task) -> Plot:
+        return Plot(task.data["y"].float())
+
+    @override
     def query(self, answer: Function, truth: HeldOutSamples) -> Tensor:
         """Return the values of curves at the held-out samples, [T, 1, SAMPLES / 2]."""
         return answer(truth.held_out_x)
@@ -134,15 +139,21 @@ class LinearEncoder(Encoder[SeenSamples]):
 class Curve(App):
     """The application of curves, which names its components."""
 
-    decoder: CurveNetwork = field(default_factory=CurveNetwork)
-    sight: EvenSight = field(default_factory=EvenSight)
-    judge: OddJudge = field(default_factory=OddJudge)
-    encoder: LinearEncoder = field(default_factory=LinearEncoder)
+    decoder: CurveNetwork = CurveNetwork()
+    sight: EvenSight = EvenSight()
+    judge: OddJudge = OddJudge()
+    encoder: LinearEncoder = LinearEncoder()
 
     name = "curve"
     error_measure = ErrorMeasure("mean absolute difference at held-out samples")
     tensors = MappingProxyType({"y": TensorSpec((SAMPLES,), low=-1e3, high=1e3)})
     small_tensors = True
+
+
+def make_plot(app: Curve, theta: Params, task: Task, size: tuple[int, int] | None) -> Plot:
+    """Return the curve of a fit."""
+    x = torch.linspace(-1, 1, SAMPLES)[None, None]
+    return Plot(app.decoder.evaluate(add_task_axis(theta), x)[0, 0].detach())
 
 
 def sample_curve(task: Task) -> tuple[Tensor, Tensor]:

@@ -12,14 +12,11 @@ from typing_extensions import override
 
 from metapp.appearance.assets import Asset
 from metapp.appearance.pictures import Picture
-from metapp.appearance.presenter import Presenter
-from metapp.learning.task import Params, Task, add_task_axis
-from metapp_curve.app import SAMPLES, Curve
 
 
 @dataclass(frozen=True, eq=False)
 class Plot(Asset):
-    """A curve, given by its values `y` at SAMPLES evenly spaced x, [SAMPLES] in [-1, 1]."""
+    """A curve, given by its values `y` in [-1, 1] at evenly spaced x, [N]."""
 
     kind = "curve"
     y: Tensor
@@ -30,29 +27,15 @@ class Plot(Asset):
 
     @override
     def preview(self) -> Tensor:
-        """Draw the curve, dark on white, as pixels [SAMPLES, SAMPLES, 3]."""
-        pixels = torch.ones(SAMPLES, SAMPLES, 3)
-        rows = ((1 - self.y.clamp(-1, 1)) / 2 * (SAMPLES - 1)).round().long()
-        pixels[rows, torch.arange(SAMPLES)] = 0.0
+        """Draw the curve, dark on white, as pixels [N, N, 3]."""
+        side = len(self.y)
+        pixels = torch.ones(side, side, 3)
+        pixels[((1 - self.y.clamp(-1, 1)) / 2 * (side - 1)).round().long(), torch.arange(side)] = 0.0
         return pixels
-
-
-def make_plot(app: Curve, theta: Params, task: Task, size: tuple[int, int] | None) -> Plot:
-    """Return the curve of a fit."""
-    x = torch.linspace(-1, 1, SAMPLES)[None, None]
-    return Plot(app.decoder.evaluate(add_task_axis(theta), x)[0, 0].detach())
 
 
 def write_csv(asset: Plot, path: Path, provenance: Mapping[str, object]) -> None:
     """Write x and y of a curve, a pair a line, as <path>.csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    pairs = zip(torch.linspace(-1, 1, SAMPLES).tolist(), asset.y.tolist(), strict=True)
+    pairs = zip(torch.linspace(-1, 1, len(asset.y)).tolist(), asset.y.tolist(), strict=True)
     path.with_suffix(".csv").write_text("".join(f"{x:.6g},{y:.6g}\n" for x, y in pairs))
-
-
-class CurvePresenter(Presenter[Curve]):
-    """The presenter of curves: a fit beside the curve itself."""
-
-    @override
-    def reference(self, task: Task) -> Plot:
-        return Plot(task.data["y"].float())
