@@ -17,6 +17,8 @@ from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.height_fields import normal_from_height
 from metapp.appearance.svbrdf_maps import unpack_maps
 from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.svbrdf_stationary.app import compose_svbrdf
+from metapp.apps.texture.app import compose_texture
 from metapp.entries import load_reference
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
@@ -51,9 +53,9 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
     recipes = load_reference(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
-    outputs = quick.app.network.outputs
-    network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)
-    app = replace(quick.app, network=network, octaves=Octaves(16, 16, ("relu1_1", "relu2_1")))
+    network = UNet(4, levels=2, noise=2, code=4, outputs=quick.app.decoder.network.outputs)
+    compose = compose_texture if request.param == "texture" else compose_svbrdf
+    app = compose(network, Octaves(16, 16, ("relu1_1", "relu2_1")))
     shortened = {name: replace(training, steps=2, tasks=2, warmup_steps=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
     search = ([{"rate": 0.5}], [{"beta1": 0.3}])

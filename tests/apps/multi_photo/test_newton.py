@@ -21,6 +21,7 @@ from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params
 from tests.apps.multi_photo.test_several_photos import PLACES
+from tests.recipe_apps import app_by_recipe
 
 SIDE, COUNT = 4, 5
 # steps of flashes are solved from all texels of maps this small, and slopes up to rounding
@@ -174,7 +175,7 @@ def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SvbrdfNonstationary) -
 
 
 def test_other_applications_are_refused_in_a_line(app: SvbrdfNonstationary) -> None:
-    other = type("Other", (), {"name": "texture"})()
+    other = app_by_recipe("texture")
     with pytest.raises(ValueError, match="its part newton does not apply to texture: its fits are not maps"):
         rule_of("gauss-newton").check_app(other, {})
     plain = Loss(lambda *_: DrawnBatch((), {}), app.loss)

@@ -13,9 +13,9 @@ from torch import Generator
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.extensions.shaders import shader_files
-from metapp.learning.task import Params
+from metapp.learning.task import Params, Task
 from tests.extensions.shaders.shader_runners import RUNNERS, Array
-from tests.recipe_apps import recipes_of
+from tests.recipe_apps import asset_of, recipes_of
 
 NAME = "red paint-2"
 APP = recipes_of("brdf")["quick"].app
@@ -35,7 +35,7 @@ def theta() -> Params:
 def written(theta: Params, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("code")
     for language in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
-        getattr(shader_files, f"write_{language}")(APP, theta, folder / NAME)
+        getattr(shader_files, f"write_{language}")(asset_of(APP, theta, Task(NAME, {})), folder / NAME, {})
     return folder
 
 

@@ -14,8 +14,8 @@ from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, encode_roughnes
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_reader
 from metapp.apps.svbrdf_nonstationary.pretrained.highlight_roughness import (
     describe_highlight,
-    polish_shift,
     predict_roughness,
+    roughness_shift,
     scale_roughness,
 )
 from metapp.learning.task import Params
@@ -87,7 +87,9 @@ def shifted_roughness(roughness: Tensor, shown: Tensor, slope: float = 0.0) -> T
     normal = torch.nn.functional.normalize(torch.cat([slope * ones, 0 * ones, ones], 1), dim=1)
     maps = Maps(ones.expand(-1, 3, -1, -1), ones.expand(-1, 3, -1, -1), roughness[:, None, None, None] * ones, normal)
     raw = ((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).logit()
-    return MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(raw + polish_shift(shown, maps, torch.zeros(len(shown))))
+    return MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(
+        raw + roughness_shift(shown, maps, torch.zeros(len(shown)))
+    )
 
 
 def test_roughness_moves_to_that_of_a_sharp_highlight_of_a_flat_surface_alone() -> None:
@@ -101,7 +103,7 @@ def test_a_known_height_changes_the_roughness_of_polished_surfaces_and_never_whi
     up = torch.cat([0 * ones, 0 * ones, ones], 1)
     maps = Maps(ones.expand(-1, 3, -1, -1), ones.expand(-1, 3, -1, -1), 0.7 * ones, up)
     shown, true_roughness = torch.tensor([0.12, 0.9]), torch.tensor([0.08, 0.1])
-    shift = polish_shift(shown, maps, camera_distance() * (shown / true_roughness) ** 2)
+    shift = roughness_shift(shown, maps, camera_distance() * (shown / true_roughness) ** 2)
     before, after = encode_roughness(torch.tensor([0.7, 0.08])).tolist()
     assert float(shift[0]) == pytest.approx(after - before, rel=0.02)
     assert abs(float(shift[1])) < 1e-3
